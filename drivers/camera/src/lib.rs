@@ -1,0 +1,1 @@
+//! Long-exposure camera: frames, stamps and exposure settings.

@@ -1,0 +1,1 @@
+//! Vehicle motion from CAN frames by configurable signals.

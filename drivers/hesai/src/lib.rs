@@ -1,0 +1,1 @@
+//! Hesai LiDAR packets to returns and sweeps, and back.

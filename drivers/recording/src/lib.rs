@@ -1,0 +1,1 @@
+//! The recording directory: what the sensors delivered, byte for byte.

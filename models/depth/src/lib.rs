@@ -1,0 +1,1 @@
+//! Depth maps without a network: nearest, fill, metrics, colour.

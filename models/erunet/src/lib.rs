@@ -1,0 +1,1 @@
+//! ERU-Net in candle.

@@ -1,0 +1,1 @@
+//! What the network sees: voxel grids, sparse depth, image planes.

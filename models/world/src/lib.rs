@@ -1,0 +1,1 @@
+//! The synthetic night: sensor bytes with exact truth.
