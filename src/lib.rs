@@ -1,1 +1,5 @@
 //! Noctule.
+pub mod bus;
+pub mod frame;
+pub mod lane;
+pub mod latency;
