@@ -1,0 +1,274 @@
+//! The whole network: restoration and completion, for a batch of exposures at once.
+//!
+//! For results as they become ready, step by step, see [`crate::Sequence`].
+
+use candle_core::{Device, Tensor};
+use thiserror::Error;
+
+use crate::config::{Config, ConfigError, SIDE_MULTIPLE};
+use crate::efr::Efr;
+use crate::params::{Norms, Params, Slot, Source};
+use crate::pass::Pass;
+use crate::rdu::Rdu;
+use crate::sequence::Sequence;
+use crate::weights::{Weights, WeightsError};
+
+/// Why a network could not be built or run.
+#[derive(Debug, Error)]
+pub enum NetworkError {
+    /// The configuration describes no network.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The weights do not fit the configuration.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// An input has the wrong shape.
+    #[error("{input} has shape {actual:?}, wanted {wanted}")]
+    Shape {
+        /// Which input.
+        input: &'static str,
+        /// Its dimensions.
+        actual: Vec<usize>,
+        /// What would have fitted, values included.
+        wanted: String,
+    },
+    /// A sequence was stepped beyond its last step.
+    #[error("all {steps} steps of the exposure are done")]
+    StepsExhausted {
+        /// Steps per exposure.
+        steps: usize,
+    },
+    /// The tensor library failed: out of memory, wrong device, unsupported number format.
+    #[error("tensor operation failed: {0}")]
+    Tensor(#[from] candle_core::Error),
+}
+
+/// ERU-Net with its weights on one device.
+pub struct Network {
+    config: Config,
+    efr: Option<Efr>,
+    rdu: Rdu,
+    device: Device,
+}
+
+/// What a batch of exposures yields.
+#[derive(Debug)]
+pub struct Outputs {
+    /// `D_dense` in metres, `[B, T, 1, H, W]`.
+    pub depth: Tensor,
+    /// Confidence C of eq. 5 at level 0, 0 to 1, `[B, T, 1, H, W]`.
+    pub confidence: Tensor,
+}
+
+/// Every tensor a network of this configuration wants in its weights file, in building order.
+pub fn slots(config: &Config) -> Result<Vec<Slot>, ConfigError> {
+    config.validate()?;
+    let source = Source::Recording(Vec::new().into());
+    let root = Params::root(&source, Norms::Keep);
+    build(config, &root).expect("recording needs one value per tensor and no input");
+    let Source::Recording(slots) = source else {
+        unreachable!("the source is made above")
+    };
+    Ok(slots.into_inner())
+}
+
+fn build(config: &Config, root: &Params<'_>) -> candle_core::Result<(Option<Efr>, Rdu)> {
+    let efr = config
+        .has_efr()
+        .then(|| Efr::new(&root.at("efr"), config))
+        .transpose()?;
+    Ok((efr, Rdu::new(&root.at("rdu"), config)?))
+}
+
+impl Network {
+    /// Builds the network over `weights`, on the device they lie on.
+    ///
+    /// With [`Norms::Keep`] the tensors are shared, not copied: pass tensors of variables and
+    /// gradients reach them, and later changes to the variables show in later passes.
+    pub fn new(config: &Config, weights: &Weights, norms: Norms) -> Result<Self, NetworkError> {
+        config.validate()?;
+        weights.check(config)?;
+        let source = Source::Given(weights.tensors());
+        let (efr, rdu) = build(config, &Params::root(&source, norms))?;
+        let device = weights.device();
+        Ok(Self {
+            config: config.clone(),
+            efr,
+            rdu,
+            device,
+        })
+    }
+
+    /// The configuration the network was built from.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The device inputs must lie on.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Starts one exposure (or a batch of them): `blur` `[B, 3, H, W]`, encoded values over 255;
+    /// for a network without restoration, the deblurred picture.
+    pub fn begin(&self, blur: &Tensor) -> Result<Sequence<'_>, NetworkError> {
+        Sequence::new(self, blur)
+    }
+
+    /// Runs whole exposures with running statistics: `blur` `[B, 3, H, W]`, `voxel`
+    /// `[B, T, bins, H, W]` in -1 to 1, `sparse` `[B, T, 1, H, W]` in metres, 0 for no return.
+    pub fn forward(
+        &self,
+        blur: &Tensor,
+        voxel: &Tensor,
+        sparse: &Tensor,
+    ) -> Result<Outputs, NetworkError> {
+        let mut pass = Pass::plain();
+        let clear = self.restore(blur, voxel, &mut pass)?;
+        self.complete(&clear, voxel, sparse, &mut pass)
+    }
+
+    /// Restoration alone, step after step: `blur` and `voxel` as in [`Network::forward`]; returns
+    /// `F_clear` per step, each `[B, c0, H, W]`.
+    pub fn restore(
+        &self,
+        blur: &Tensor,
+        voxel: &Tensor,
+        pass: &mut Pass,
+    ) -> Result<Vec<Tensor>, NetworkError> {
+        let (b, h, w) = self.check_blur(blur)?;
+        self.check_steps("voxel", voxel, self.config.bins, (b, h, w))?;
+        let still = self.appearance(blur, pass)?;
+        let mut clear: Vec<Tensor> = Vec::with_capacity(self.config.steps);
+        for t in 0..self.config.steps {
+            let voxel = voxel.narrow(1, t, 1)?.squeeze(1)?;
+            clear.push(self.restore_step(&still, clear.last(), &voxel, t, pass)?);
+        }
+        Ok(clear)
+    }
+
+    /// Completion alone, all steps folded into the batch: `clear` from [`Network::restore`],
+    /// `voxel` and `sparse` as in [`Network::forward`].
+    pub fn complete(
+        &self,
+        clear: &[Tensor],
+        voxel: &Tensor,
+        sparse: &Tensor,
+        pass: &mut Pass,
+    ) -> Result<Outputs, NetworkError> {
+        let steps = self.config.steps;
+        let Some(first) = clear.first().filter(|_| clear.len() == steps) else {
+            return Err(NetworkError::Shape {
+                input: "clear",
+                actual: vec![clear.len()],
+                wanted: format!("{steps} features"),
+            });
+        };
+        let (b, c0, h, w) = first.dims4()?;
+        self.check_steps("voxel", voxel, self.config.bins, (b, h, w))?;
+        self.check_steps("sparse", sparse, 1, (b, h, w))?;
+        let clear = Tensor::stack(clear, 1)?.reshape((b * steps, c0, h, w))?;
+        let fold = |x: &Tensor| x.flatten(0, 1)?.contiguous();
+        let (depth, confidence) = self
+            .rdu
+            .forward(&clear, &fold(voxel)?, &fold(sparse)?, pass)?;
+        let unfold = |x: Tensor| x.reshape((b, steps, 1, h, w));
+        Ok(Outputs {
+            depth: unfold(depth)?,
+            confidence: unfold(confidence)?,
+        })
+    }
+
+    /// The sharp pictures that restored features stand for: `[B, T, 3, H, W]`; `None` for a
+    /// network without restoration. Stage 1 of the training needs them, inference does not.
+    pub fn reconstruct(
+        &self,
+        clear: &[Tensor],
+        blur: &Tensor,
+    ) -> Result<Option<Tensor>, NetworkError> {
+        let Some(efr) = &self.efr else {
+            return Ok(None);
+        };
+        let pictures: Vec<Tensor> = clear
+            .iter()
+            .map(|clear| efr.reconstruct(clear, blur))
+            .collect::<Result<_, _>>()?;
+        Ok(Some(Tensor::stack(&pictures, 1)?))
+    }
+
+    /// What holds for all steps of an exposure, `[B, c0, H, W]`.
+    pub(crate) fn appearance(&self, blur: &Tensor, pass: &mut Pass) -> candle_core::Result<Tensor> {
+        match (&self.efr, self.rdu.picture_feature(blur)) {
+            (Some(efr), _) => efr.appearance(blur, pass),
+            (None, Some(feature)) => feature,
+            (None, None) => unreachable!("a network without restoration has a picture stem"),
+        }
+    }
+
+    /// `F_clear` of one step; without restoration the picture's feature serves every step.
+    pub(crate) fn restore_step(
+        &self,
+        still: &Tensor,
+        previous: Option<&Tensor>,
+        voxel: &Tensor,
+        t: usize,
+        pass: &mut Pass,
+    ) -> candle_core::Result<Tensor> {
+        match &self.efr {
+            Some(efr) => efr.step(still, previous, voxel, t, pass),
+            None => Ok(still.clone()),
+        }
+    }
+
+    pub(crate) fn complete_step(
+        &self,
+        clear: &Tensor,
+        voxel: &Tensor,
+        sparse: &Tensor,
+        pass: &mut Pass,
+    ) -> candle_core::Result<(Tensor, Tensor)> {
+        self.rdu.forward(clear, voxel, sparse, pass)
+    }
+
+    /// Batch, height and width of a picture this network can take.
+    pub(crate) fn check_blur(&self, blur: &Tensor) -> Result<(usize, usize, usize), NetworkError> {
+        match *blur.dims() {
+            [b, 3, h, w]
+                if b > 0 && h > 0 && w > 0 && h % SIDE_MULTIPLE == 0 && w % SIDE_MULTIPLE == 0 =>
+            {
+                Ok((b, h, w))
+            }
+            ref dims => Err(NetworkError::Shape {
+                input: "blur",
+                actual: dims.to_vec(),
+                wanted: format!("[B, 3, H, W] with H and W multiples of {SIDE_MULTIPLE}"),
+            }),
+        }
+    }
+
+    fn check_steps(
+        &self,
+        input: &'static str,
+        tensor: &Tensor,
+        channels: usize,
+        (b, h, w): (usize, usize, usize),
+    ) -> Result<(), NetworkError> {
+        check_shape(input, tensor, &[b, self.config.steps, channels, h, w])
+    }
+}
+
+pub(crate) fn check_shape(
+    input: &'static str,
+    tensor: &Tensor,
+    wanted: &[usize],
+) -> Result<(), NetworkError> {
+    if tensor.dims() == wanted {
+        return Ok(());
+    }
+    let actual = tensor.dims().to_vec();
+    Err(NetworkError::Shape {
+        input,
+        actual,
+        wanted: format!("{wanted:?}"),
+    })
+}

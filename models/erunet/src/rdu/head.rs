@@ -1,0 +1,29 @@
+//! Depth head: the last depth feature to a bounded depth.
+
+use candle_core::{Result, Tensor};
+
+use crate::blocks::{Conv, ConvShape, relu, sigmoid};
+use crate::config::Config;
+use crate::params::Params;
+
+/// Two convolutions and a logistic function, so that no depth is ever negative or infinite.
+pub(super) struct Head {
+    head1: Conv,
+    head2: Conv,
+}
+
+impl Head {
+    /// The names stand directly under `rdu.`.
+    pub(super) fn new(params: &Params<'_>, config: &Config) -> Result<Self> {
+        let d0 = config.d[0];
+        Ok(Self {
+            head1: Conv::new(&params.at("head1"), ConvShape::k3(d0, d0))?,
+            head2: Conv::new(&params.at("head2"), ConvShape::k3(d0, 1).gain(0.1))?,
+        })
+    }
+
+    /// `x` `[N, d0, H, W]`; returns the share of the depth range, `[N, 1, H, W]`, 0 to 1.
+    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        sigmoid(&self.head2.forward(&relu(&self.head1.forward(x)?)?)?)
+    }
+}
