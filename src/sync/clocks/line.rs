@@ -127,7 +127,10 @@ fn weighted(points: &[Point], prior: &Prior, keep: impl Fn(&Point) -> bool) -> O
     let (mut xx, mut xy) = (0.0, 0.0);
     for p in kept() {
         let w = 1.0 / (p.scale * p.scale);
-        (xx, xy) = (xx + w * (p.x - x) * (p.x - x), xy + w * (p.x - x) * (p.y - y));
+        (xx, xy) = (
+            xx + w * (p.x - x) * (p.x - x),
+            xy + w * (p.x - x) * (p.y - y),
+        );
     }
     let prior_weight = 1.0 / (prior.slope_sd * prior.slope_sd);
     let mut noise = prior.noise.max(prior.noise_floor);
@@ -145,7 +148,9 @@ fn weighted(points: &[Point], prior: &Prior, keep: impl Fn(&Point) -> bool) -> O
             })
             .sum();
         let expected = prior.noise_weight * prior.noise * prior.noise;
-        noise = ((expected + squares) / freedom.max(1.0)).sqrt().max(prior.noise_floor);
+        noise = ((expected + squares) / freedom.max(1.0))
+            .sqrt()
+            .max(prior.noise_floor);
     }
     let line = Line {
         x,
@@ -205,7 +210,10 @@ mod tests {
         let points = [point(0.0, 0.0), point(1e6, 1000.0)];
         let line = fit(&points, None, &PRIOR, &mut Vec::new()).unwrap();
         assert!(line.slope.abs() <= 2e-4);
-        assert!(line.sd_at(1e9) > 5e4, "one second away the slope's doubt dominates");
+        assert!(
+            line.sd_at(1e9) > 5e4,
+            "one second away the slope's doubt dominates"
+        );
     }
 
     #[test]
