@@ -178,6 +178,7 @@ mod tests {
                             f64::from(weight) * atom * pixel(i, c, y + tap / side, z + tap % side);
                     }
                 }
+                #[allow(clippy::cast_possible_truncation, reason = "rounding to single")]
                 out.push(sum as f32);
             }
         }
