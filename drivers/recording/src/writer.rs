@@ -1,0 +1,296 @@
+//! Writes a recording as the sensors deliver, in bounded memory.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use noctule_camera::FrameStamp;
+use noctule_can::{Frame, Interface, Record};
+use noctule_evk4::RawHeader;
+use noctule_sensor::{Clock, Monotonic, Realtime, Stamp};
+use sha2::{Digest, Sha256};
+
+use crate::image::stamped_at_name;
+use crate::layout;
+use crate::meta::{MetaFile, RECORDING_SCHEMA};
+use crate::table::OutFile;
+use crate::{Calibration, ClockReading, Counts, Meta, WriteError, write_rgb8};
+
+/// Bytes buffered before a data file is written to.
+const DATA_BUFFER_LEN: usize = 1 << 20;
+
+/// Writes one recording directory.
+///
+/// `meta.json` is written first without counts and replaced by one with counts in
+/// [`finish`](Self::finish), so that a recording that was interrupted says so. The same calls give
+/// the same bytes: no file carries the time of writing.
+#[derive(Debug)]
+pub struct RecordingWriter {
+    dir: PathBuf,
+    file: MetaFile,
+    counts: Counts,
+    events: Option<EventFiles>,
+    images: Option<OutFile>,
+    can: Option<(OutFile, Interface)>,
+    clocks: OutFile,
+}
+
+#[derive(Debug)]
+struct EventFiles {
+    raw: OutFile,
+    transfers: OutFile,
+    /// Where the next transfer begins; 0 until the header was written.
+    offset: u64,
+}
+
+impl RecordingWriter {
+    /// Starts a recording in `dir`, which is created if need be and must not hold one already.
+    ///
+    /// # Errors
+    /// When `meta` or `calibration` cannot be, a recording is there, or a file cannot be created.
+    pub fn create(dir: &Path, meta: Meta, calibration: &Calibration) -> Result<Self, WriteError> {
+        let field = |what| move |source| WriteError::Field { what, source };
+        meta.validate().map_err(field("meta"))?;
+        calibration.validate().map_err(field("calibration"))?;
+        for name in [layout::META, layout::RAW] {
+            let path = dir.join(name);
+            if path.exists() {
+                return Err(WriteError::Exists { path });
+            }
+        }
+        create_dir(&dir.join(layout::RAW))?;
+        let calibration_toml = calibration.to_toml();
+        write_file(&dir.join(layout::CALIBRATION), calibration_toml.as_bytes())?;
+        let file = MetaFile {
+            schema: RECORDING_SCHEMA,
+            calibration_sha256: sha256_hex(calibration_toml.as_bytes()),
+            recording: meta,
+            counts: None,
+        };
+        write_meta(dir, &file)?;
+        let meta = &file.recording;
+        let table = |path: &str, columns| OutFile::table(dir.join(path), columns);
+        let events = match meta.events {
+            None => None,
+            Some(_) => Some(EventFiles {
+                raw: OutFile::create(dir.join(layout::EVENTS), DATA_BUFFER_LEN)?,
+                transfers: table(layout::EVENT_TRANSFERS, layout::EVENT_TRANSFER_COLUMNS)?,
+                offset: 0,
+            }),
+        };
+        let images = match meta.camera {
+            None => None,
+            Some(_) => {
+                create_dir(&dir.join(layout::IMAGES))?;
+                Some(table(layout::IMAGE_ROWS, layout::IMAGE_COLUMNS)?)
+            }
+        };
+        let can = match &meta.can {
+            None => None,
+            Some(can) => {
+                let interface =
+                    Interface::new(&can.interface).map_err(|_| WriteError::Undeclared("can"))?;
+                Some((OutFile::create(dir.join(layout::CAN), 64 << 10)?, interface))
+            }
+        };
+        Ok(Self {
+            clocks: table(layout::CLOCKS, layout::CLOCK_COLUMNS)?,
+            dir: dir.to_owned(),
+            counts: Counts::default(),
+            file,
+            events,
+            images,
+            can,
+        })
+    }
+
+    /// Writes the header of `raw/events.raw`, once and before any transfer: the `%` lines as the
+    /// camera's software writes them.
+    ///
+    /// # Errors
+    /// When `header` is no RAW header or more than one, when it was given before, or the file
+    /// cannot be written.
+    pub fn events_header(&mut self, header: &[u8]) -> Result<(), WriteError> {
+        let files = self
+            .events
+            .as_mut()
+            .ok_or(WriteError::Undeclared("events"))?;
+        let bad = |text: String| Err(WriteError::EventsHeader(text));
+        if files.offset != 0 {
+            return bad("was written already".to_owned());
+        }
+        match RawHeader::parse(header) {
+            Ok((_, len)) if len == header.len() => {}
+            Ok((_, len)) => return bad(format!("{} bytes follow it", header.len() - len)),
+            Err(error) => return bad(error.to_string()),
+        }
+        files.offset = header.len() as u64;
+        files.raw.bytes(header)
+    }
+
+    /// Appends one USB transfer.
+    ///
+    /// # Errors
+    /// When there is no header yet, the transfer is longer than 64 MiB, or a file cannot be
+    /// written.
+    pub fn event_transfer(
+        &mut self,
+        bytes: &[u8],
+        arrival: Stamp<Realtime>,
+    ) -> Result<(), WriteError> {
+        let files = self
+            .events
+            .as_mut()
+            .ok_or(WriteError::Undeclared("events"))?;
+        if files.offset == 0 {
+            let text = "must be written before the first transfer".to_owned();
+            return Err(WriteError::EventsHeader(text));
+        }
+        if bytes.len() > layout::TRANSFER_LEN_MAX {
+            return Err(WriteError::TransferLength {
+                actual: bytes.len(),
+                max: layout::TRANSFER_LEN_MAX,
+            });
+        }
+        let (offset, len) = (files.offset, bytes.len() as u64);
+        files.raw.bytes(bytes)?;
+        files
+            .transfers
+            .line(format_args!("{offset},{len},{}", arrival.as_nanos()))?;
+        files.offset += len;
+        self.counts.event_transfers += 1;
+        self.counts.event_bytes += len;
+        self.counts.event_transfer_len_max = self.counts.event_transfer_len_max.max(len);
+        Ok(())
+    }
+
+    /// Appends one image: packed RGB8, rows from the top, of the size that meta names.
+    ///
+    /// # Errors
+    /// When the size is another, or a file cannot be written.
+    pub fn image(
+        &mut self,
+        stamp: FrameStamp,
+        width: usize,
+        height: usize,
+        rgb8: &[u8],
+    ) -> Result<(), WriteError> {
+        let (Some(rows), Some(camera)) = (&mut self.images, &self.file.recording.camera) else {
+            return Err(WriteError::Undeclared("camera"));
+        };
+        let declared = (camera.width as usize, camera.height as usize);
+        if (width, height) != declared {
+            return Err(WriteError::Size {
+                what: "image",
+                width,
+                height,
+                needed: declared.0 * declared.1 * 3,
+                actual: rgb8.len(),
+            });
+        }
+        let index = u32::try_from(self.counts.images).unwrap_or(u32::MAX);
+        write_rgb8(&layout::image(&self.dir, index), width, height, rgb8)?;
+        rows.line(format_args!(
+            "{index},{},{},{},{},{},{},{}",
+            stamp.sequence,
+            stamp.driver.as_nanos(),
+            Monotonic::NAME,
+            stamped_at_name(stamp.at),
+            stamp.arrival.as_nanos(),
+            stamp.exposure_set_ns,
+            stamp.gain_db,
+        ))?;
+        self.counts.images += 1;
+        Ok(())
+    }
+
+    /// Appends one CAN frame, on the interface that meta names.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn can(&mut self, frame: Frame, arrival: Stamp<Realtime>) -> Result<(), WriteError> {
+        let (log, interface) = self.can.as_mut().ok_or(WriteError::Undeclared("can"))?;
+        let record = Record {
+            arrival,
+            interface: *interface,
+            frame,
+            direction: None,
+        };
+        log.line(format_args!("{record}"))?;
+        self.counts.can_frames += 1;
+        Ok(())
+    }
+
+    /// Appends one reading of the host's clocks.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn clock_reading(&mut self, reading: ClockReading) -> Result<(), WriteError> {
+        let (realtime, monotonic) = (reading.realtime.as_nanos(), reading.monotonic.as_nanos());
+        let tai_offset_s = reading.tai_offset_s;
+        match reading.phc {
+            None => self
+                .clocks
+                .line(format_args!("{realtime},{monotonic},{tai_offset_s},"))?,
+            Some(phc) => self.clocks.line(format_args!(
+                "{realtime},{monotonic},{tai_offset_s},{}",
+                phc.as_nanos()
+            ))?,
+        }
+        self.counts.clock_readings += 1;
+        Ok(())
+    }
+
+    /// Writes the LiDAR's angle correction table (Hesai CSV) under the name that the calibration
+    /// gives it.
+    ///
+    /// # Errors
+    /// When `name` is no plain file name or the file cannot be written.
+    pub fn lidar_angles(&mut self, name: &str, csv: &[u8]) -> Result<(), WriteError> {
+        write_file(&self.dir.join(name), csv)
+    }
+
+    /// Writes out what is buffered and marks the recording as whole.
+    ///
+    /// # Errors
+    /// When a file cannot be written; the recording then counts as interrupted.
+    pub fn finish(mut self) -> Result<Counts, WriteError> {
+        if let Some(files) = &mut self.events {
+            files.raw.flush()?;
+            files.transfers.flush()?;
+        }
+        if let Some(rows) = &mut self.images {
+            rows.flush()?;
+        }
+        if let Some((log, _)) = &mut self.can {
+            log.flush()?;
+        }
+        self.clocks.flush()?;
+        self.file.counts = Some(self.counts);
+        write_meta(&self.dir, &self.file)?;
+        Ok(self.counts)
+    }
+}
+
+/// Replaces `meta.json` in one step, so that it is never half there.
+fn write_meta(dir: &Path, file: &MetaFile) -> Result<(), WriteError> {
+    let path = dir.join(layout::META);
+    let next = dir.join("meta.json.next");
+    let error = |e| WriteError::io(&path, e);
+    let mut text = serde_json::to_string_pretty(file).map_err(|e| error(e.into()))?;
+    text.push('\n');
+    write_file(&next, text.as_bytes())?;
+    fs::rename(&next, &path).map_err(error)
+}
+
+pub(crate) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), WriteError> {
+    fs::write(path, bytes).map_err(|e| WriteError::io(path, e))
+}
+
+pub(crate) fn create_dir(path: &Path) -> Result<(), WriteError> {
+    fs::create_dir_all(path).map_err(|e| WriteError::io(path, e))
+}
+
+pub(crate) fn sha256_hex(bytes: &[u8]) -> String {
+    let digest = Sha256::digest(bytes);
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
