@@ -1,1 +1,10 @@
 //! Hesai LiDAR packets to returns and sweeps, and back.
+#![forbid(unsafe_code)]
+
+mod wire;
+
+pub use wire::{
+    Arrival, Correction, Counts, Decoder, Echo, EncodeError, FireTimes, LaserAngles, Model,
+    Options, OptionsError, Packet, PacketError, PacketInfo, QT64_PACKET_LEN, Qt64Echoes,
+    Qt64Encoder, Rejected, ReturnMode, ReturnSink, Returns, TableError,
+};
