@@ -14,6 +14,13 @@ impl Rejected {
         self.kinds[error.kind()] += 1;
     }
 
+    /// Adds what `other` counted.
+    pub fn merge(&mut self, other: &Self) {
+        for (mine, theirs) in self.kinds.iter_mut().zip(other.kinds) {
+            *mine += theirs;
+        }
+    }
+
     /// All kinds together.
     #[must_use]
     pub fn total(&self) -> u64 {
