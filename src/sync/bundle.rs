@@ -464,7 +464,8 @@ impl BundleCloser {
                 ClosedBy::Complete
             } else if oldest.is_closed && open.less(oldest.given_up).is_empty() {
                 ClosedBy::NothingMissingCanCome
-            } else if self.now >= oldest.deadline {
+            } else if self.pending.iter().any(|p| self.now >= p.deadline) {
+                // One that is due pushes out the older ones it has overtaken.
                 ClosedBy::Deadline
             } else {
                 return;

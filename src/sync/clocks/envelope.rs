@@ -27,6 +27,9 @@ pub struct EnvelopeConfig {
     pub bucket_count_min: u32,
     /// Calibrated constant delay from stamp to arrival, nanoseconds.
     pub fixed_delay_ns: i64,
+    /// Two-sided jitter of the stamps themselves (standard deviation), nanoseconds: lets readings
+    /// fall below the envelope, so that the bias of a minimum is not known. 0 for a counter.
+    pub stamp_jitter_ns: i64,
     /// Bound on the skew of an oscillator, parts per billion.
     pub skew_ppb_max: i64,
     /// A change of the envelope beyond this is a step, nanoseconds.
@@ -56,12 +59,13 @@ impl EnvelopeConfig {
             buckets_settled: 8,
             bucket_count_min: 8,
             fixed_delay_ns: 0,
+            stamp_jitter_ns: 0,
             skew_ppb_max: 200_000,
-            step_ns: 1_000_000,
+            step_ns: 3_000_000,
             stall_ns: 100_000_000,
             suspects_max: 8,
             late_span_ns: 250_000_000,
-            reorder_ns: 0,
+            reorder_ns: 20_000_000,
             silence_ns: 5_000_000_000,
             wander_ppb: 0,
         }
@@ -72,7 +76,6 @@ impl EnvelopeConfig {
     pub const fn udp() -> Self {
         Self {
             step_ns: 200_000,
-            reorder_ns: 20_000_000,
             ..Self::usb()
         }
     }
@@ -83,7 +86,8 @@ impl EnvelopeConfig {
         Self {
             bucket_ns: 3_000_000_000,
             buckets: 48,
-            buckets_settled: 6,
+            buckets_settled: 8,
+            stamp_jitter_ns: 20_000,
             suspects_max: 3,
             late_span_ns: 400_000_000,
             ..Self::usb()
@@ -93,9 +97,9 @@ impl EnvelopeConfig {
 
 /// Bias of a bucket's minimum, in units of the scatter of minima. An exponential delay gives 1, an
 /// exponential delay blurred by a stamp's resolution up to 1.9: the middle is taken off.
-const BIAS: f64 = 1.4;
+const BIAS: f64 = 1.45;
 /// What the true bias may differ from [`BIAS`] by, in the same unit; added to the 99 % bound.
-const BIAS_DOUBT: f64 = 0.55;
+const BIAS_DOUBT: f64 = 0.8;
 /// Readings needed for the first, coarse map of an epoch.
 const COARSE_COUNT: u32 = 8;
 
@@ -338,8 +342,11 @@ impl<A: Clock, B: Clock> EnvelopeFit<A, B> {
         let Some((x, y)) = bucket.lowest(line.slope) else {
             return false;
         };
-        let limit =
-            line.quantile() * (line.sd_at(x) + 4.0 * line.noise) + self.config.step_ns as f64 / 8.0;
+        // Delays that are not quite exponential scatter the minima of n readings by less than
+        // their mean over the root of n.
+        let scatter = 2.0 * bucket.mean_excess(line.slope) / f64::from(bucket.count).sqrt();
+        let allowed = scatter.max(self.config.step_ns as f64 / 8.0);
+        let limit = line.quantile() * (line.sd_at(x) + 4.0 * line.noise) + allowed;
         let excess = y - line.at(x);
         let before = self.raised.take();
         if excess < -limit {
@@ -397,10 +404,13 @@ impl<A: Clock, B: Clock> EnvelopeFit<A, B> {
             return;
         };
         let x = signed(self.newest.0, origin.a) as f64;
-        let y = line.at(x) - BIAS * line.noise;
+        let jitter = self.config.stamp_jitter_ns as f64;
+        let bias = if jitter > 0.0 { 0.0 } else { BIAS * line.noise };
+        let y = line.at(x) - bias;
         let b = i128::from(origin.b) + i128::from(self.newest.0) - i128::from(origin.a);
         let b = b + i128::from(y.round() as i64);
-        let bound = line.quantile() * line.sd_at(x) + BIAS_DOUBT * line.noise;
+        let doubt = (BIAS_DOUBT * line.noise).max(jitter);
+        let bound = line.quantile() * line.sd_at(x) + doubt;
         self.map = Some(ClockMap {
             anchor: (
                 Stamp::from_nanos(self.newest.0),

@@ -42,8 +42,8 @@ impl HostClocks {
                 pairs_min: 1,
                 settled_ns: 20_000,
                 jitter_ns: 1_000,
-                // Steered alike by the kernel; anything more is a step.
-                skew_ppb_max: 20_000,
+                // The kernel steers both alike; other hosts' recordings may not.
+                skew_ppb_max: 100_000,
                 gate_ns: 50_000,
                 suspects_max: 2,
                 silence_ns: 30_000_000_000,
@@ -119,8 +119,8 @@ mod tests {
         let map = host.monotonic_to_tai().unwrap();
         let tai = map.apply(Stamp::from_nanos(6 * S));
         assert_eq!(tai.as_nanos(), 1_700_000_038 * S);
-        // 20 ppm of doubt about the rate at most; tight once there are more readings.
-        assert!(map.uncertainty_at(Stamp::from_nanos(6 * S)) < 60_000);
+        // 100 ppm of doubt about the rate; tight once there are more readings.
+        assert!(map.uncertainty_at(Stamp::from_nanos(6 * S)) < 300_000);
         for second in 6..20 {
             host.observe(reading(second, (1_700_000_000 + second - 5) * S, 37));
         }

@@ -61,10 +61,12 @@ impl Line {
 
     /// Two-sided 99 % factor for `sd_at`: the normal quantile, widened for few degrees of freedom
     /// as Student's t is (first term of its Cornish-Fisher expansion, Abramowitz & Stegun 26.7.5).
+    /// A fifth is added for noise that is neither quite normal nor quite independent.
     pub fn quantile(&self) -> f64 {
         const NORMAL: f64 = 2.576;
+        const MARGIN: f64 = 1.2;
         let widening = (NORMAL * NORMAL * NORMAL + NORMAL) / (4.0 * self.freedom.max(1.0));
-        NORMAL + widening
+        MARGIN * (NORMAL + widening)
     }
 }
 

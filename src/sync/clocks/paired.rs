@@ -43,7 +43,7 @@ impl PairedConfig {
             pairs: 1024,
             window_ns: 200_000_000_000,
             pairs_min: 4,
-            settled_ns: 15_000,
+            settled_ns: 5_000,
             jitter_ns: 20_000,
             skew_ppb_max: 200_000,
             gate_ns: 200_000,
@@ -53,6 +53,9 @@ impl PairedConfig {
         }
     }
 }
+
+/// A borrowed rate is believed to this many of its standard deviations: its noise has long tails.
+const RATE_TRUST: f64 = 1.5;
 
 /// Sliding-window fit of clock `A` onto clock `B` from pairs of simultaneous readings.
 #[derive(Debug)]
@@ -267,14 +270,17 @@ impl<A: Clock, B: Clock> PairedFit<A, B> {
         let recent = self.pairs.iter().filter(|p| signed(newest, p.0) <= window);
         self.points.clear();
         self.points.extend(recent.map(|&p| point(origin, p)));
-        let own = RateEstimate {
-            rate_ppb: 0.0,
-            sd_ppb: self.config.skew_ppb_max as f64 * 0.5,
+        let unknown = self.config.skew_ppb_max as f64 * 0.5;
+        let (rate, rate_sd) = match self.rate {
+            Some(rate) => (
+                rate.rate_ppb,
+                (rate.sd_ppb.max(1.0) * RATE_TRUST).min(unknown),
+            ),
+            None => (0.0, unknown),
         };
-        let rate = self.rate.unwrap_or(own);
         let prior = Prior {
-            slope: rate.rate_ppb * 1e-9,
-            slope_sd: rate.sd_ppb.max(1e-3) * 1e-9,
+            slope: rate * 1e-9,
+            slope_sd: rate_sd * 1e-9,
             slope_limit: self.config.skew_ppb_max as f64 * 1e-9,
             noise: self.config.jitter_ns as f64,
             noise_weight: 4.0,
