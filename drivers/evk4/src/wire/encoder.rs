@@ -240,6 +240,7 @@ impl Evt3Encoder {
     fn write_row(&mut self, row: u32, out: &mut Vec<u8>) {
         if row != self.row {
             self.row = row;
+            self.base = NONE;
             push(out, make(ADDR_Y, low_16(row)));
         }
     }
@@ -252,6 +253,8 @@ impl Evt3Encoder {
         let base = (run[0] & 0x7ff & !block) | (run[0] >> 11 & 1) << 16;
         let running = base == self.base;
         if run.len() < if running { 3 } else { 4 } {
+            // Some decoders keep one column for both kinds of word.
+            self.base = NONE;
             for &pixel in run {
                 push(out, make(ADDR_X, low_16(pixel & 0xfff)));
             }

@@ -26,6 +26,19 @@ const NO_BASE: u16 = u16::MAX;
 /// Where a base column stops advancing; outside every sensor, and distinct from [`NO_BASE`].
 const BASE_MAX: u16 = u16::MAX - 1;
 
+/// What an event takes from the words before its own.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct State {
+    /// Low 12 bits of the time in force.
+    pub(super) low: u16,
+    /// Row in force, or `NO_ROW`.
+    pub(super) y: u16,
+    /// Column of the next vector word's first pixel, or `NO_BASE`.
+    pub(super) base_x: u16,
+    /// Polarity of vector words.
+    pub(super) base_on: bool,
+}
+
 /// Streaming decoder of EVT 3.0.
 ///
 /// Bytes may be split anywhere between calls; the result does not depend on how.
@@ -34,12 +47,8 @@ pub struct Evt3Decoder {
     pub(super) geometry: Geometry,
     pub(super) time_high: TimeHigh,
     /// Time of the high word alone, nanoseconds.
-    pub(super) base_ns: u64,
-    /// Time in force, nanoseconds.
-    pub(super) t_ns: u64,
-    pub(super) y: u16,
-    pub(super) base_x: u16,
-    pub(super) base_on: bool,
+    pub(super) high_ns: u64,
+    pub(super) state: State,
     /// First half of a word whose second half is yet to come.
     half: Option<u8>,
     payload: Payload,
@@ -55,11 +64,13 @@ impl Evt3Decoder {
         Self {
             geometry,
             time_high: TimeHigh::new(HIGH_BITS),
-            base_ns: 0,
-            t_ns: 0,
-            y: NO_ROW,
-            base_x: NO_BASE,
-            base_on: false,
+            high_ns: 0,
+            state: State {
+                low: 0,
+                y: NO_ROW,
+                base_x: NO_BASE,
+                base_on: false,
+            },
             half: None,
             payload: Payload::default(),
             rate: RateCounts::default(),
@@ -76,6 +87,7 @@ impl Evt3Decoder {
             bytes = rest;
             self.word(u16::from_le_bytes([low, *high]), sink);
         }
+        bytes = &bytes[self.run(bytes, sink)..];
         let (words, tail) = bytes.as_chunks::<2>();
         for &word in words {
             self.word(u16::from_le_bytes(word), sink);
@@ -99,8 +111,8 @@ impl Evt3Decoder {
     pub fn gap(&mut self) {
         self.finish();
         self.time_high.forget();
-        self.y = NO_ROW;
-        self.base_x = NO_BASE;
+        self.state.y = NO_ROW;
+        self.state.base_x = NO_BASE;
         self.payload = Payload::default();
     }
 
@@ -139,7 +151,7 @@ impl Evt3Decoder {
     pub fn watermark(&self) -> Option<Stamp<Evk4>> {
         self.time_high
             .is_known()
-            .then(|| Stamp::from_nanos(self.t_ns.saturating_sub(STEP_BACK_US_MAX * 1000)))
+            .then(|| Stamp::from_nanos(self.t_ns().saturating_sub(STEP_BACK_US_MAX * 1000)))
     }
 
     /// Takes one word, whatever it is.
@@ -153,20 +165,20 @@ impl Evt3Decoder {
             return;
         }
         match kind(word) {
-            ADDR_Y => self.y = word & ADDRESS_MASK,
+            ADDR_Y => self.state.y = word & ADDRESS_MASK,
             ADDR_X => {
                 let (x, on) = (word & ADDRESS_MASK, word & ON_BIT != 0);
                 return self.pixels(x, on, 1, sink);
             }
             VECT_BASE_X => {
-                self.base_x = word & ADDRESS_MASK;
-                self.base_on = word & ON_BIT != 0;
+                self.state.base_x = word & ADDRESS_MASK;
+                self.state.base_on = word & ON_BIT != 0;
             }
             VECT_12 => return self.vector(u32::from(word & PAYLOAD_MASK), 12, sink),
             VECT_8 => return self.vector(u32::from(word & 0xff), 8, sink),
             TIME_LOW => return self.take_time_low(word & PAYLOAD_MASK),
             EXT_TRIGGER => sink.trigger(TriggerEdge {
-                t: Stamp::from_nanos(self.t_ns),
+                t: Stamp::from_nanos(self.t_ns()),
                 channel: (word >> 8 & 0xf).to_le_bytes()[0],
                 rising: word & 1 != 0,
             }),
@@ -188,8 +200,8 @@ impl Evt3Decoder {
     fn take_time_high(&mut self, high: u16) {
         let step = self.time_high.take(u32::from(high));
         if step != Step::Same {
-            self.base_ns = self.time_high.widened() * HIGH_UNIT_US * 1000;
-            self.t_ns = self.base_ns;
+            self.high_ns = self.time_high.widened() * HIGH_UNIT_US * 1000;
+            self.state.low = 0;
         }
         if step == Step::Backward {
             self.errors.time_backwards += 1;
@@ -199,34 +211,38 @@ impl Evt3Decoder {
     }
 
     fn take_time_low(&mut self, low: u16) {
-        let t_ns = self.base_ns + u64::from(low) * 1000;
-        if t_ns < self.t_ns {
+        if low < self.state.low {
             self.errors.time_backwards += 1;
         } else {
             self.tally.decoded += 1;
         }
-        self.t_ns = t_ns;
+        self.state.low = low;
+    }
+
+    /// The time in force, nanoseconds.
+    fn t_ns(&self) -> u64 {
+        self.high_ns + u64::from(self.state.low) * 1000
     }
 
     /// A `VECT_12` or `VECT_8`: `mask` has `len` bits, for the columns from the base on.
     fn vector(&mut self, mask: u32, len: u16, sink: &mut impl EventSink) {
-        let base_x = self.base_x;
+        let base_x = self.state.base_x;
         if base_x != NO_BASE {
-            self.base_x = base_x.saturating_add(len).min(BASE_MAX);
-        } else if self.y != NO_ROW {
+            self.state.base_x = base_x.saturating_add(len).min(BASE_MAX);
+        } else if self.state.y != NO_ROW {
             self.errors.missing_vect_base += 1;
             return;
         }
-        self.pixels(base_x, self.base_on, mask, sink);
+        self.pixels(base_x, self.state.base_on, mask, sink);
     }
 
     /// Delivers the events of one event word: one for each bit of `mask`, at `x` plus its index.
     fn pixels(&mut self, x: u16, on: bool, mask: u32, sink: &mut impl EventSink) {
-        if self.y == NO_ROW {
+        if self.state.y == NO_ROW {
             self.errors.missing_y += 1;
             return;
         }
-        let columns = if self.y < self.geometry.height {
+        let columns = if self.state.y < self.geometry.height {
             u32::from(self.geometry.width.saturating_sub(x))
         } else {
             0
@@ -238,7 +254,7 @@ impl Evt3Decoder {
             self.tally.out_of_bounds += 1;
             self.errors.out_of_bounds += u64::from((mask ^ inside).count_ones());
         }
-        let (t, y) = (Stamp::from_nanos(self.t_ns), self.y);
+        let (t, y) = (Stamp::from_nanos(self.t_ns()), self.state.y);
         let mut rest = inside;
         while rest != 0 {
             // At most 31, and `x` plus it lies inside the sensor.

@@ -74,6 +74,12 @@ impl TimeHigh {
         }
     }
 
+    /// The low 12 bits of the value in force.
+    pub(super) fn low_12(&self) -> u16 {
+        let [low, high, ..] = self.last.unwrap_or(0).to_le_bytes();
+        u16::from_le_bytes([low, high]) & 0xfff
+    }
+
     /// The widened value, in units of the word.
     pub(super) fn widened(&self) -> u64 {
         let high = u64::from(self.last.unwrap_or(0));
