@@ -5,6 +5,7 @@
 
 use candle_core::{D, Result, Tensor, bail};
 
+use crate::conv_cpu::{Window, conv2d};
 use crate::params::{Init, Norms, Params, Role};
 use crate::pass::{Moments, Pass};
 
@@ -140,13 +141,33 @@ impl Conv {
         let y = if self.kernel == 1 && self.stride == 1 {
             self.pointwise(x)?
         } else {
-            x.contiguous()?
-                .conv2d(&self.weight, self.kernel / 2, self.stride, 1, 1)?
+            self.windowed(&x.contiguous()?)?
         };
         match &self.bias {
             None => Ok(y),
             Some(bias) => y.broadcast_add(&bias.reshape((1, (), 1, 1))?),
         }
+    }
+
+    /// Gradients and other devices take candle's convolution, the rest the quicker one.
+    fn windowed(&self, x: &Tensor) -> Result<Tensor> {
+        let Self {
+            weight,
+            kernel,
+            stride,
+            ..
+        } = self;
+        if x.device().is_cpu() && !x.track_op() && !weight.track_op() {
+            return conv2d(
+                x,
+                weight,
+                Window {
+                    kernel: *kernel,
+                    stride: *stride,
+                },
+            );
+        }
+        x.conv2d(weight, kernel / 2, *stride, 1, 1)
     }
 
     /// A 1x1 convolution is a matrix product per picture.

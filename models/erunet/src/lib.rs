@@ -23,6 +23,7 @@
 mod accounting;
 mod blocks;
 mod config;
+mod conv_cpu;
 mod efr;
 mod init;
 mod network;
