@@ -221,12 +221,12 @@ impl Calibration {
             return Err(FieldError::new("schema", self.schema, "another version"));
         }
         if let Some(name) = &self.lidar_angles
-            && (name.is_empty() || name.starts_with('.') || name.contains(['/', '\\']))
+            && (!name.ends_with(".csv") || name.starts_with('.') || name.contains(['/', '\\']))
         {
             return Err(FieldError::new(
                 "lidar_angles",
                 name,
-                "not a plain file name",
+                "not the name of a .csv file",
             ));
         }
         self.camera.validate().map_err(|e| e.within("camera"))?;
@@ -261,5 +261,43 @@ impl Calibration {
     /// The file's text; the same numbers give the same bytes, and they read back exactly.
     pub(crate) fn to_toml(&self) -> String {
         toml::to_string(self).expect("numbers, names and tables have a toml form")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_rig_is_where_its_comments_say() {
+        let rig = Calibration::default_rig();
+        let focal = 256.0 / 26f64.to_radians().tan();
+        assert!((rig.camera.fx - focal).abs() < 1e-9);
+        assert_eq!(rig.camera.fx, rig.events.lens.fy);
+        // The region of interest is centred on the optical axis, like the camera's grid.
+        let roi = rig.events.roi;
+        assert_eq!(rig.events.lens.cx - f64::from(roi.x), rig.camera.cx);
+        assert_eq!(rig.events.lens.cy - f64::from(roi.y), rig.camera.cy);
+        assert_eq!(rig.camera_from_lidar.translation_m, [0.0, -0.25, -0.10]);
+        // Straight ahead of the LiDAR is ahead of the camera, a degree off.
+        let [x, y, z] = rig.camera_from_lidar.apply([0.0, 10.0, 0.0]);
+        assert!(x.abs() < 0.3 && y.abs() < 0.5 && z > 9.8, "{x} {y} {z}");
+        // The camera stands 1.5 m above the vehicle's origin and looks along x.
+        let vehicle_from_camera = rig
+            .vehicle_from_lidar
+            .compose(&rig.camera_from_lidar.inverse());
+        let ahead = vehicle_from_camera.apply([1.0, 0.0, 10.0]);
+        for (value, expected) in ahead.into_iter().zip([10.0, -1.0, 1.5]) {
+            assert!((value - expected).abs() < 1e-9, "{ahead:?}");
+        }
+    }
+
+    #[test]
+    fn a_calibration_is_written_and_read_back_to_the_last_bit() {
+        let mut rig = Calibration::default_rig();
+        rig.camera.distortion.k3 = 1.0 / 3.0;
+        rig.lidar_angles = Some("angles.csv".to_owned());
+        let read = Calibration::parse(&rig.to_toml(), Path::new("calib.toml")).unwrap();
+        assert_eq!(read, rig);
     }
 }

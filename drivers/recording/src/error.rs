@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use noctule_can::LineError;
 use noctule_evk4::RawError;
+use noctule_hesai::pcap::CaptureError;
 
 /// A value in `meta.json`, `calib.toml` or their like that cannot be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -115,6 +116,14 @@ pub enum RecordingError {
         /// What is wrong with it.
         source: RawError,
     },
+    /// A capture that cannot be read on.
+    #[error("{}: {source}", path.display())]
+    Capture {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it, and where.
+        source: CaptureError,
+    },
     /// A picture that cannot be decoded or is not what belongs there.
     #[error("{}: {problem}", path.display())]
     Picture {
@@ -136,6 +145,13 @@ pub enum RecordingError {
 impl RecordingError {
     pub(crate) fn io(path: &Path, source: io::Error) -> Self {
         Self::Io {
+            path: path.to_owned(),
+            source,
+        }
+    }
+
+    pub(crate) fn capture(path: &Path, source: CaptureError) -> Self {
+        Self::Capture {
             path: path.to_owned(),
             source,
         }
@@ -190,8 +206,8 @@ pub enum WriteError {
         /// The field, the value and what is wrong.
         source: FieldError,
     },
-    /// Data of a sensor that the description does not have.
-    #[error("{0} data, but meta describes no such sensor")]
+    /// Data that meta or calibration does not describe.
+    #[error("{0}: neither meta nor calibration describes any")]
     Undeclared(&'static str),
     /// The event stream's header is missing, given twice, or no header.
     #[error("events header: {0}")]

@@ -5,7 +5,7 @@ use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use noctule_evk4::{Decoder, EventSink, Geometry, RawHeader};
-use noctule_sensor::{Event, Realtime, Stamp};
+use noctule_sensor::{Event, Evk4, Realtime, Stamp, TriggerEdge};
 
 use crate::faults::Left;
 use crate::layout;
@@ -43,7 +43,23 @@ enum Schedule {
     /// A table; `first` is the column of the offset, followed by length and arrival.
     Listed { table: Table, first: usize },
     /// Nobody knows: chunks of constant length, stamped with the sensor time they reach.
-    SensorTime(Box<Decoder>),
+    SensorTime {
+        decoder: Box<Decoder>,
+        reached: Reached,
+    },
+}
+
+/// A table of transfers; `first` is the column of the offset, followed by length and arrival.
+struct List<'a> {
+    path: &'a Path,
+    columns: &'static [&'static str],
+    first: usize,
+}
+
+impl List<'_> {
+    fn open(&self) -> Result<Table, RecordingError> {
+        Table::open(self.path, self.columns)
+    }
 }
 
 /// The event stream in the order in which it arrived.
@@ -70,17 +86,17 @@ impl EventTransfers {
         counted: Option<u64>,
         len_max: usize,
     ) -> Result<Self, RecordingError> {
-        let list = dir.join(layout::EVENT_TRANSFERS);
-        let columns = layout::EVENT_TRANSFER_COLUMNS;
-        Self::listed(
-            &dir.join(layout::EVENTS),
-            &list,
-            columns,
-            0,
-            fallback,
-            counted,
-            len_max,
-        )
+        let list = List {
+            path: &dir.join(layout::EVENT_TRANSFERS),
+            columns: layout::EVENT_TRANSFER_COLUMNS,
+            first: 0,
+        };
+        let mut transfers = Self::listed(&dir.join(layout::EVENTS), &list, fallback)?;
+        transfers.left = Left::new(counted);
+        transfers
+            .buffer
+            .reserve(len_max.min(layout::TRANSFER_LEN_MAX));
+        Ok(transfers)
     }
 
     /// A RAW file with the packets table of public recordings beside it.
@@ -89,20 +105,22 @@ impl EventTransfers {
         packets: &Path,
         fallback: Option<Geometry>,
     ) -> Result<Self, RecordingError> {
-        Self::listed(raw, packets, PACKET_COLUMNS, 1, fallback, None, 0)
+        let list = List {
+            path: packets,
+            columns: PACKET_COLUMNS,
+            first: 1,
+        };
+        Self::listed(raw, &list, fallback)
     }
 
     fn listed(
         raw: &Path,
-        list: &Path,
-        columns: &'static [&'static str],
-        first: usize,
+        list: &List<'_>,
         fallback: Option<Geometry>,
-        counted: Option<u64>,
-        len_max: usize,
     ) -> Result<Self, RecordingError> {
+        let first = list.first;
         // The first transfer says where the header ends, whatever its style.
-        let begin = match Table::open(list, columns)?.next_row()? {
+        let begin = match list.open()?.next_row()? {
             None => None,
             Some(row) => {
                 let offset: usize = row.get(first)?;
@@ -112,14 +130,9 @@ impl EventTransfers {
                 Some(offset)
             }
         };
-        let table = Table::open(list, columns)?;
+        let table = list.open()?;
         let schedule = |_: &RawHeader| Schedule::Listed { table, first };
-        let mut transfers = Self::begin(raw, begin, fallback, schedule)?;
-        transfers.left = Left::new(counted);
-        transfers
-            .buffer
-            .reserve(len_max.min(layout::TRANSFER_LEN_MAX));
-        Ok(transfers)
+        Self::begin(raw, begin, fallback, schedule)
     }
 
     /// A RAW file with nothing beside it.
@@ -127,8 +140,9 @@ impl EventTransfers {
         raw: &Path,
         fallback: Option<Geometry>,
     ) -> Result<Self, RecordingError> {
-        Self::begin(raw, None, fallback, |header| {
-            Schedule::SensorTime(Box::new(Decoder::new(header.format, header.geometry)))
+        Self::begin(raw, None, fallback, |header| Schedule::SensorTime {
+            decoder: Box::new(Decoder::new(header.format, header.geometry)),
+            reached: Reached::default(),
         })
     }
 
@@ -202,7 +216,7 @@ impl EventTransfers {
     fn advance(&mut self) -> Result<Option<(u64, Stamp<Realtime>)>, RecordingError> {
         let offset = self.position;
         let (len, listed) = match &mut self.schedule {
-            Schedule::SensorTime(_) => (CHUNK_LEN, None),
+            Schedule::SensorTime { .. } => (CHUNK_LEN, None),
             Schedule::Listed { table, first } => {
                 let Some(row) = table.next_row()? else {
                     return self.end_of_list();
@@ -222,10 +236,11 @@ impl EventTransfers {
             .map_err(|e| RecordingError::io(&self.path, e))?;
         self.buffer.truncate(got);
         self.position += got as u64;
-        if let Schedule::SensorTime(decoder) = &mut self.schedule {
-            decoder.decode(&self.buffer, &mut Discard);
-            let reached = decoder.watermark().map_or(0, Stamp::as_nanos);
-            return Ok((got > 0).then_some((offset, Stamp::from_nanos(reached))));
+        if let Schedule::SensorTime { decoder, reached } = &mut self.schedule {
+            decoder.decode(&self.buffer, reached);
+            reached.to(decoder.watermark().unwrap_or_default());
+            let arrival = Stamp::from_nanos(reached.0.as_nanos());
+            return Ok((got > 0).then_some((offset, arrival)));
         }
         self.truncated_bytes += (len - got) as u64;
         // A row whose bytes are all missing counts as absent, not as an empty transfer.
@@ -246,7 +261,7 @@ impl EventTransfers {
     pub fn faults(&self) -> Faults {
         let truncated_rows = match &self.schedule {
             Schedule::Listed { table, .. } => table.truncated(),
-            Schedule::SensorTime(_) => 0,
+            Schedule::SensorTime { .. } => 0,
         };
         Faults {
             truncated_bytes: self.truncated_bytes,
@@ -256,13 +271,25 @@ impl EventTransfers {
     }
 }
 
-/// Decoding for the sake of time alone.
-struct Discard;
+/// The latest time that anything decoded carries; the decoder's watermark alone may lie before
+/// the last events.
+#[derive(Debug, Default)]
+struct Reached(Stamp<Evk4>);
 
-impl EventSink for Discard {
-    fn event(&mut self, _: Event) {}
+impl Reached {
+    fn to(&mut self, t: Stamp<Evk4>) {
+        self.0 = self.0.max(t);
+    }
+}
 
-    fn events(&mut self, _: &[Event]) {}
+impl EventSink for Reached {
+    fn event(&mut self, event: Event) {
+        self.to(event.t);
+    }
+
+    fn trigger(&mut self, edge: TriggerEdge) {
+        self.to(edge.t);
+    }
 }
 
 /// Fills `buffer` as far as the reader has bytes.

@@ -12,7 +12,7 @@ use crate::{Picture, RecordingError, WriteError};
 ///
 /// # Errors
 /// When the length is not `2 * width * height`, or the file cannot be written.
-pub fn write_flow(
+pub(crate) fn write_flow(
     path: &Path,
     width: usize,
     height: usize,
@@ -46,7 +46,7 @@ pub fn write_flow(
 ///
 /// # Errors
 /// When the file cannot be read or is not `f32` of shape [2, H, W].
-pub fn read_flow(path: &Path) -> Result<Picture<f32>, RecordingError> {
+pub(crate) fn read_flow(path: &Path) -> Result<Picture<f32>, RecordingError> {
     let bytes = fs::read(path).map_err(|e| RecordingError::io(path, e))?;
     let bad = |problem: String| RecordingError::picture(path, problem);
     let file = NpyFile::new(&bytes[..]).map_err(|e| bad(e.to_string()))?;

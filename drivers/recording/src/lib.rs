@@ -8,6 +8,7 @@
 mod calibration;
 mod can;
 mod clocks;
+mod datagrams;
 mod error;
 mod events;
 mod exposure;
@@ -23,21 +24,22 @@ mod table;
 mod truth;
 mod writer;
 
-pub use calibration::Rectangle;
-pub use calibration::{CALIBRATION_SCHEMA, Calibration, Delays, Distortion, EventLens, Lens};
+pub use calibration::{
+    CALIBRATION_SCHEMA, Calibration, Delays, Distortion, EventLens, Lens, Rectangle,
+};
 pub use can::CanFrames;
 pub use clocks::{ClockReading, ClockReadings, ClockTruth, TruthClocks};
+pub use datagrams::Datagrams;
 pub use error::{FieldError, RecordingError, WriteError};
 pub use events::{EventTransfers, Transfer};
 pub use exposure::{EdgeTruth, ExposureTruth, ExposureTruths};
 pub use faults::Faults;
-pub use flow::{read_flow, write_flow};
 pub use image::{ImageRow, ImageRows};
 pub use meta::{
     CameraMeta, CanMeta, Counts, EventsMeta, Generator, GridSize, LidarMeta, Meta,
     RECORDING_SCHEMA, Split, StrobeMeta, StrobePolarity,
 };
-pub use picture::{Picture, read_depth, read_mask, read_rgb8, write_depth, write_mask, write_rgb8};
+pub use picture::Picture;
 pub use pose::Pose;
 pub use recording::{Missing, Recording};
 pub use truth::{SampleTruth, SampleWriter, TruthWriter};

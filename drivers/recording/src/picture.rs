@@ -30,7 +30,12 @@ pub struct Picture<T> {
 ///
 /// # Errors
 /// When the length is not `width * height * 3`, or the file cannot be written.
-pub fn write_rgb8(path: &Path, width: usize, height: usize, rgb8: &[u8]) -> Result<(), WriteError> {
+pub(crate) fn write_rgb8(
+    path: &Path,
+    width: usize,
+    height: usize,
+    rgb8: &[u8],
+) -> Result<(), WriteError> {
     let size = Size::new("rgb", width, height, 3, rgb8.len())?;
     encode(path, size, ColorType::Rgb, BitDepth::Eight, rgb8)
 }
@@ -40,7 +45,7 @@ pub fn write_rgb8(path: &Path, width: usize, height: usize, rgb8: &[u8]) -> Resu
 ///
 /// # Errors
 /// When the length is not `width * height`, or the file cannot be written.
-pub fn write_depth(
+pub(crate) fn write_depth(
     path: &Path,
     width: usize,
     height: usize,
@@ -71,7 +76,7 @@ fn depth_units(depth_m: f32) -> u16 {
 ///
 /// # Errors
 /// When the length is not `width * height`, or the file cannot be written.
-pub fn write_mask(
+pub(crate) fn write_mask(
     path: &Path,
     width: usize,
     height: usize,
@@ -141,7 +146,7 @@ fn encode(
 ///
 /// # Errors
 /// When the file cannot be read or is not an RGB picture of 8 bits.
-pub fn read_rgb8(path: &Path, rgb8: &mut Vec<u8>) -> Result<(usize, usize), RecordingError> {
+pub(crate) fn read_rgb8(path: &Path, rgb8: &mut Vec<u8>) -> Result<(usize, usize), RecordingError> {
     decode(path, (ColorType::Rgb, BitDepth::Eight), rgb8)
 }
 
@@ -150,7 +155,7 @@ pub fn read_rgb8(path: &Path, rgb8: &mut Vec<u8>) -> Result<(usize, usize), Reco
 /// # Errors
 /// When the file cannot be read, is not a grey picture of 16 bits, or holds no depth above 1 m
 /// though it holds some: then 8-bit values were stored by mistake.
-pub fn read_depth(path: &Path) -> Result<Picture<f32>, RecordingError> {
+pub(crate) fn read_depth(path: &Path) -> Result<Picture<f32>, RecordingError> {
     let mut bytes = Vec::new();
     let kind = (ColorType::Grayscale, BitDepth::Sixteen);
     let (width, height) = decode(path, kind, &mut bytes)?;
@@ -175,7 +180,7 @@ pub fn read_depth(path: &Path) -> Result<Picture<f32>, RecordingError> {
 ///
 /// # Errors
 /// When the file cannot be read or is not a grey picture of 8 bits.
-pub fn read_mask(path: &Path) -> Result<Picture<bool>, RecordingError> {
+pub(crate) fn read_mask(path: &Path) -> Result<Picture<bool>, RecordingError> {
     let mut bytes = Vec::new();
     let kind = (ColorType::Grayscale, BitDepth::Eight);
     let (width, height) = decode(path, kind, &mut bytes)?;
@@ -210,4 +215,48 @@ fn decode(
     bytes.resize(len, 0);
     reader.next_frame(bytes).map_err(bad)?;
     Ok((width as usize, height as usize))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn depth_is_rounded_to_its_unit_and_never_to_none() {
+        let cases = [
+            (0.0, 0),
+            (1e-6, 1),
+            (1.0, 256),
+            (1.002, 257),
+            (255.996, 65_535),
+            (255.999, 0),
+            (-1.0, 0),
+            (f32::NAN, 0),
+            (f32::INFINITY, 0),
+        ];
+        for (depth_m, units) in cases {
+            assert_eq!(depth_units(depth_m), units, "{depth_m}");
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn damaged_pictures_are_refused_or_read_but_never_panic(
+            at in any::<prop::sample::Index>(), bit in 0u8..8, len in any::<prop::sample::Index>(),
+        ) {
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("a.png");
+            write_depth(&path, 7, 5, &[3.5; 35]).unwrap();
+            let whole = std::fs::read(&path).unwrap();
+            let mut bytes = whole.clone();
+            bytes[at.index(whole.len())] ^= 1 << bit;
+            std::fs::write(&path, &bytes).unwrap();
+            let _ = read_depth(&path);
+            std::fs::write(&path, &whole[..len.index(whole.len())]).unwrap();
+            let _ = read_depth(&path);
+        }
+    }
 }

@@ -46,8 +46,7 @@ impl TryFrom<PoseText> for Pose {
 
 fn matrix(quaternion: [f64; 4]) -> Result<[[f64; 3]; 3], String> {
     let norm = quaternion.iter().map(|v| v * v).sum::<f64>().sqrt();
-    // Also refuses NaN.
-    if !((norm - 1.0).abs() <= ORTHONORMAL_TOLERANCE) {
+    if norm.is_nan() || (norm - 1.0).abs() > ORTHONORMAL_TOLERANCE {
         return Err(format!("quaternion_wxyz has length {norm}, needs 1"));
     }
     let [w, x, y, z] = quaternion.map(|v| v / norm);
@@ -121,8 +120,7 @@ impl Pose {
             for j in 0..3 {
                 let unit = f64::from(u8::from(i == j));
                 let error = dot(rotation[i], rotation[j]) - unit;
-                // Also refuses NaN.
-                if !(error.abs() <= ORTHONORMAL_TOLERANCE) {
+                if error.is_nan() || error.abs() > ORTHONORMAL_TOLERANCE {
                     return Err(bad("rows are not orthonormal within 1e-6"));
                 }
             }
@@ -162,8 +160,10 @@ mod tests {
     #[test]
     fn a_quaternion_and_its_matrix_are_the_same_rotation() {
         let half = 0.5f64.sqrt();
-        let text = format!("quaternion_wxyz = [{half}, 0, 0, {half}]\ntranslation_m = [1, 2, 3]");
-        let pose = parse(&text.replace(", 0", ", 0.0")).unwrap();
+        let text = format!(
+            "quaternion_wxyz = [{half}, 0.0, 0.0, {half}]\ntranslation_m = [1.0, 2.0, 3.0]"
+        );
+        let pose = parse(&text).unwrap();
         let point = pose.apply([1.0, 0.0, 0.0]);
         for (value, expected) in point.into_iter().zip([1.0, 3.0, 3.0]) {
             assert!((value - expected).abs() < 1e-12);

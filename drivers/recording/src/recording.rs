@@ -8,15 +8,17 @@ use noctule_evk4::Geometry;
 
 use crate::can::CanFrames;
 use crate::clocks::{ClockReadings, TruthClocks};
+use crate::datagrams::Datagrams;
 use crate::exposure::ExposureTruths;
 use crate::image::ImageRows;
 use crate::layout;
 use crate::meta::{MetaFile, RECORDING_SCHEMA, SchemaOnly};
+use crate::picture::read_rgb8;
 use crate::truth;
 use crate::writer::sha256_hex;
 use crate::{
     Calibration, Counts, EventTransfers, EventsMeta, FieldError, GridSize, LidarMeta, Meta,
-    RecordingError, Rectangle, SampleTruth, read_rgb8,
+    RecordingError, Rectangle, SampleTruth,
 };
 
 /// Something a recording could have and does not.
@@ -174,7 +176,7 @@ impl Recording {
             calibration: None,
             counts: None,
         };
-        fs::metadata(path).map_err(|e| RecordingError::io(path, e))?;
+        recording.datagrams()?;
         Ok(recording)
     }
 
@@ -266,6 +268,21 @@ impl Recording {
             } => EventTransfers::with_packets(path, packets, *fallback),
             Source::Raw { path, fallback, .. } => EventTransfers::by_sensor_time(path, *fallback),
             _ => Err(self.absent(layout::EVENTS, "events")),
+        }
+    }
+
+    /// The LiDAR's datagrams.
+    ///
+    /// # Errors
+    /// When there are none or the capture cannot be understood.
+    pub fn datagrams(&self) -> Result<Datagrams, RecordingError> {
+        match (&self.source, &self.meta.lidar) {
+            (Source::Pcap(path), _) => Datagrams::open(path),
+            (Source::Directory(dir), Some(lidar)) => {
+                let counted = self.counts.map(|c| c.datagrams);
+                Datagrams::of_recording(&dir.join(layout::LIDAR), lidar.port, counted)
+            }
+            _ => Err(self.absent(layout::LIDAR, "lidar datagrams")),
         }
     }
 

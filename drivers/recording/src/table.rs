@@ -202,6 +202,8 @@ impl OutFile {
     pub(crate) fn table(path: PathBuf, columns: &[&str]) -> Result<Self, WriteError> {
         let mut file = Self::create(path, 64 << 10)?;
         file.line(format_args!("{}", columns.join(",")))?;
+        // Whatever happens from here on, the table can be opened.
+        file.flush()?;
         Ok(file)
     }
 
@@ -218,5 +220,77 @@ impl OutFile {
     pub(crate) fn flush(&mut self) -> Result<(), WriteError> {
         let Self { path, writer } = self;
         writer.flush().map_err(|e| WriteError::io(path, e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const COLUMNS: &[&str] = &["a", "b"];
+
+    type Rows = Vec<(u64, Option<i32>)>;
+
+    /// Reads every row as a number and an optional number; also gives the count of cut rows.
+    fn read(bytes: &[u8]) -> (Result<Rows, RecordingError>, u64) {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), bytes).unwrap();
+        let mut table = match Table::open(file.path(), COLUMNS) {
+            Ok(table) => table,
+            Err(error) => return (Err(error), 0),
+        };
+        let mut rows = Vec::new();
+        let mut read = || {
+            while let Some(row) = table.next_row()? {
+                rows.push((row.get(0)?, row.optional(1)?));
+            }
+            Ok(())
+        };
+        let result = read();
+        (result.map(|()| rows), table.truncated())
+    }
+
+    #[test]
+    fn carriage_returns_and_empty_fields_are_read() {
+        let (rows, truncated) = read(b"a,b\r\n1,\r\n2,-3\n");
+        assert_eq!(rows.unwrap(), [(1, None), (2, Some(-3))]);
+        assert_eq!(truncated, 0);
+    }
+
+    #[test]
+    fn an_empty_field_where_a_number_must_be_is_located() {
+        let text = read(b"a,b\n1,2\n,3\n").0.unwrap_err().to_string();
+        assert!(
+            text.ends_with(":3: a = \"\": not a number of its range"),
+            "{text}"
+        );
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// However a table is cut, whole rows are read and a partial one is counted.
+        #[test]
+        fn every_cut_keeps_the_whole_rows(
+            rows: Vec<(u64, Option<i32>)>, cut in any::<prop::sample::Index>(),
+        ) {
+            let mut text = "a,b\n".to_owned();
+            for (a, b) in &rows {
+                let b = b.map_or(String::new(), |b| b.to_string());
+                text.push_str(&format!("{a},{b}\n"));
+            }
+            let at = 4 + cut.index(text.len() - 3);
+            let whole = text[4..at].matches('\n').count();
+            let (result, truncated) = read(&text.as_bytes()[..at]);
+            prop_assert_eq!(result.unwrap(), &rows[..whole]);
+            prop_assert_eq!(truncated, u64::from(!text[..at].ends_with('\n')));
+        }
+
+        #[test]
+        fn no_bytes_panic(bytes: Vec<u8>, near in "a,b\n([0-9,\\-]{0,6}\n){0,4}") {
+            let _ = read(&bytes);
+            let _ = read(near.as_bytes());
+        }
     }
 }

@@ -4,12 +4,12 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::flow::{read_flow, write_flow};
 use crate::layout;
 use crate::picture::{read_depth, read_mask, read_rgb8, write_depth, write_mask, write_rgb8};
 use crate::table::OutFile;
 use crate::writer::{create_dir, write_file};
 use crate::{ExposureTruth, Picture, RecordingError, TruthClocks, WriteError};
-use crate::{read_flow, write_flow};
 
 /// Writes the truth of a recording, beside what a [`RecordingWriter`](crate::RecordingWriter)
 /// writes.

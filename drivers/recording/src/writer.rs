@@ -1,19 +1,22 @@
 //! Writes a recording as the sensors deliver, in bounded memory.
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use noctule_camera::FrameStamp;
 use noctule_can::{Frame, Interface, Record};
 use noctule_evk4::RawHeader;
+use noctule_hesai::pcap;
 use noctule_sensor::{Clock, Monotonic, Realtime, Stamp};
 use sha2::{Digest, Sha256};
 
 use crate::image::stamped_at_name;
 use crate::layout;
 use crate::meta::{MetaFile, RECORDING_SCHEMA};
+use crate::picture::write_rgb8;
 use crate::table::OutFile;
-use crate::{Calibration, ClockReading, Counts, Meta, WriteError, write_rgb8};
+use crate::{Calibration, ClockReading, Counts, Meta, WriteError};
 
 /// Bytes buffered before a data file is written to.
 const DATA_BUFFER_LEN: usize = 1 << 20;
@@ -28,7 +31,9 @@ pub struct RecordingWriter {
     dir: PathBuf,
     file: MetaFile,
     counts: Counts,
+    lidar_angles: Option<String>,
     events: Option<EventFiles>,
+    lidar: Option<pcap::Writer<BufWriter<File>>>,
     images: Option<OutFile>,
     can: Option<(OutFile, Interface)>,
     clocks: OutFile,
@@ -77,6 +82,16 @@ impl RecordingWriter {
                 offset: 0,
             }),
         };
+        let lidar = match &meta.lidar {
+            None => None,
+            Some(lidar) => {
+                let path = dir.join(layout::LIDAR);
+                let io = |e| WriteError::io(&path, e);
+                let file = File::create_new(&path).map_err(io)?;
+                let buffered = BufWriter::with_capacity(DATA_BUFFER_LEN, file);
+                Some(pcap::Writer::new(buffered, lidar.port).map_err(io)?)
+            }
+        };
         let images = match meta.camera {
             None => None,
             Some(_) => {
@@ -96,8 +111,10 @@ impl RecordingWriter {
             clocks: table(layout::CLOCKS, layout::CLOCK_COLUMNS)?,
             dir: dir.to_owned(),
             counts: Counts::default(),
+            lidar_angles: calibration.lidar_angles.clone(),
             file,
             events,
+            lidar,
             images,
             can,
         })
@@ -124,7 +141,9 @@ impl RecordingWriter {
             Err(error) => return bad(error.to_string()),
         }
         files.offset = header.len() as u64;
-        files.raw.bytes(header)
+        files.raw.bytes(header)?;
+        // Whatever happens from here on, the file can be opened.
+        files.raw.flush()
     }
 
     /// Appends one USB transfer.
@@ -160,6 +179,19 @@ impl RecordingWriter {
         self.counts.event_transfers += 1;
         self.counts.event_bytes += len;
         self.counts.event_transfer_len_max = self.counts.event_transfer_len_max.max(len);
+        Ok(())
+    }
+
+    /// Appends one LiDAR datagram.
+    ///
+    /// # Errors
+    /// When the payload is longer than a datagram can be, or the file cannot be written.
+    pub fn datagram(&mut self, payload: &[u8], arrival: Stamp<Realtime>) -> Result<(), WriteError> {
+        let capture = self.lidar.as_mut().ok_or(WriteError::Undeclared("lidar"))?;
+        capture
+            .datagram(arrival, payload)
+            .map_err(|e| WriteError::io(&self.dir.join(layout::LIDAR), e))?;
+        self.counts.datagrams += 1;
         Ok(())
     }
 
@@ -244,8 +276,10 @@ impl RecordingWriter {
     /// gives it.
     ///
     /// # Errors
-    /// When `name` is no plain file name or the file cannot be written.
-    pub fn lidar_angles(&mut self, name: &str, csv: &[u8]) -> Result<(), WriteError> {
+    /// When the calibration names none or the file cannot be written.
+    pub fn lidar_angles(&mut self, csv: &[u8]) -> Result<(), WriteError> {
+        let name = self.lidar_angles.as_ref();
+        let name = name.ok_or(WriteError::Undeclared("lidar angles"))?;
         write_file(&self.dir.join(name), csv)
     }
 
@@ -257,6 +291,11 @@ impl RecordingWriter {
         if let Some(files) = &mut self.events {
             files.raw.flush()?;
             files.transfers.flush()?;
+        }
+        if let Some(capture) = self.lidar {
+            capture
+                .finish()
+                .map_err(|e| WriteError::io(&self.dir.join(layout::LIDAR), e))?;
         }
         if let Some(rows) = &mut self.images {
             rows.flush()?;
