@@ -7,7 +7,7 @@ mod wire;
 
 pub use survey::{Summary, Survey};
 pub use wire::{
-    Arrival, Correction, Counts, Decoder, Echo, EncodeError, FireTimes, LaserAngles, Model,
+    Arrival, Block, Correction, Counts, Decoder, Echo, EncodeError, FireTimes, LaserAngles, Model,
     Options, OptionsError, Packet, PacketError, PacketInfo, QT64_PACKET_LEN, Qt64Echoes,
     Qt64Encoder, Rejected, ReturnMode, ReturnSink, Returns, TableError,
 };

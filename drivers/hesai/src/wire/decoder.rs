@@ -3,7 +3,7 @@
 use noctule_sensor::{Lidar, Return, Stamp};
 use thiserror::Error;
 
-use super::firing::{self, Firing};
+use super::firing::{Block, Job};
 use super::geometry::Geometry;
 use super::stream::{Arrival, Observed, Stream};
 use super::sweep::Sweeps;
@@ -16,6 +16,21 @@ pub trait ReturnSink {
     /// Sweeps are numbered by turns of the head from 0 on, whether or not all of a turn was
     /// received. Near a seam two numbers alternate: channels cross the cut one by one.
     fn on_return(&mut self, r: Return, sweep: u32);
+
+    /// Takes one firing whole: its `R` blocks, one per echo.
+    ///
+    /// A sink that works on vectors takes [`Block`]s apart by itself. Left alone, every return
+    /// goes to [`on_return`](Self::on_return), channel by channel.
+    #[inline]
+    fn on_firing<const R: usize>(&mut self, blocks: &[Block<'_>; R]) {
+        for (c, channel) in (0..blocks[0].echo.len()).zip(0u8..) {
+            for block in blocks {
+                if let Some(r) = block.get(channel) {
+                    self.on_return(r, block.sweep_of(c));
+                }
+            }
+        }
+    }
 }
 
 impl<F: FnMut(Return, u32)> ReturnSink for F {
@@ -310,14 +325,17 @@ impl Decoder {
             let t = packet
                 .time_ns()
                 .wrapping_add_signed(self.block_ns(packet, block));
-            let firing = Firing {
+            let (geometry, sweeps, options) = (&*self.geometry, &self.sweeps, &self.options);
+            let job = Job {
                 packet,
                 block,
                 t_ns: t,
                 angle,
+                geometry,
+                sweeps,
+                options,
             };
-            let (found, unique) =
-                firing::decode(&firing, &self.geometry, &self.sweeps, &self.options, sink);
+            let (found, unique) = job.run(sink);
             info.returns += found;
             info.points += unique;
         }

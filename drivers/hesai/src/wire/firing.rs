@@ -1,6 +1,6 @@
 //! The arithmetic of one firing: all channels, all echoes, in lanes the compiler vectorises.
 
-use noctule_sensor::{Return, Stamp};
+use noctule_sensor::{Lidar, Return, Stamp};
 
 use super::decoder::{Options, ReturnSink, Returns};
 use super::geometry::{self, Geometry};
@@ -9,7 +9,7 @@ use super::{Model, Packet};
 
 /// One firing of all lasers, in a packet that has been checked.
 #[derive(Clone, Copy)]
-pub(crate) struct Firing<'a, 'b> {
+pub(crate) struct Job<'a, 'b> {
     pub packet: &'a Packet<'b>,
     /// Its first block.
     pub block: usize,
@@ -17,43 +17,197 @@ pub(crate) struct Firing<'a, 'b> {
     pub t_ns: u64,
     /// Unwound angle of the block, hundredths of a degree.
     pub angle: i64,
+    pub geometry: &'a Geometry,
+    pub sweeps: &'a Sweeps,
+    pub options: &'a Options,
 }
 
 /// Distance and intensity of one channel as on the wire: 16 and 8 bits; distance 0 is no return.
 const DISTANCE: u32 = 0xffff;
 const ECHO: u32 = 0xff_ffff;
 
-/// Hands the returns of one firing to `sink`; gives their number, and that of unique ones.
-pub(crate) fn decode<S: ReturnSink>(
-    firing: &Firing<'_, '_>,
-    geometry: &Geometry,
-    sweeps: &Sweeps,
-    options: &Options,
-    sink: &mut S,
-) -> (u32, u32) {
-    let packet = firing.packet;
-    let job = Job {
-        firing,
-        geometry,
-        sweeps,
-        options,
-    };
-    match (packet.model(), packet.stride()) {
-        (Model::Qt64, _) => job.echoes::<64, 4, S>(sink),
-        (Model::Qt128, 3) => job.echoes::<128, 3, S>(sink),
-        (Model::Qt128, _) => job.echoes::<128, 4, S>(sink),
-        (Model::Xt32 | Model::Xt32m, _) => job.echoes::<32, 4, S>(sink),
-        (Model::Xt16, _) => job.echoes::<16, 4, S>(sink),
-        (Model::Pandar64, _) => job.echoes::<64, 3, S>(sink),
-        (Model::Pandar40p, _) => job.echoes::<40, 3, S>(sink),
+/// All channels of one block, as arrays of equal length: what a sink takes that works on whole
+/// vectors. See [`ReturnSink::on_block`].
+#[derive(Debug)]
+pub struct Block<'a> {
+    /// Metres; 0 where there is no return.
+    pub x_m: &'a [f32],
+    /// Metres; 0 where there is no return.
+    pub y_m: &'a [f32],
+    /// Metres; 0 where there is no return.
+    pub z_m: &'a [f32],
+    /// Distance in the packet's units (16 bits) and, above it, intensity (8 bits), as on the wire;
+    /// 0 where there is no return.
+    pub echo: &'a [u32],
+    /// Firing time after `t`, nanoseconds.
+    pub fire_ns: &'a [i32],
+    /// When the block began to fire.
+    pub t: Stamp<Lidar>,
+    /// Azimuth of the block, hundredths of a degree.
+    pub azimuth_cdeg: u16,
+    /// Index of the block in its packet.
+    pub block: u8,
+    /// Block azimuth at which a channel's own is zero, `0..36_000`.
+    zero: &'a [u16],
+    /// Block angle at which a channel crosses the cut.
+    cut: &'a [i32],
+    /// The least sweep, and the block's angle past that sweep's start.
+    sweep: (u32, i32),
+    /// Whether channels of two sweeps are here.
+    seam: bool,
+}
+
+impl Block<'_> {
+    /// The sweep all channels belong to; `None` while the block crosses the cut.
+    #[inline]
+    #[must_use]
+    pub fn sweep(&self) -> Option<u32> {
+        (!self.seam).then_some(self.sweep.0)
+    }
+
+    /// The sweep `channel` belongs to.
+    ///
+    /// # Panics
+    /// When there is no such channel.
+    #[inline]
+    #[must_use]
+    pub fn sweep_of(&self, channel: usize) -> u32 {
+        if !self.seam {
+            return self.sweep.0;
+        }
+        let (number, angle) = self.sweep;
+        number + u32::from(angle - self.cut[channel] >= 36_000)
+    }
+
+    /// The return of `channel`, if it has one.
+    ///
+    /// # Panics
+    /// When there is no such channel.
+    #[inline]
+    #[must_use]
+    pub fn get(&self, channel: u8) -> Option<Return> {
+        let c = usize::from(channel);
+        let [low, high, intensity, _] = self.echo[c].to_le_bytes();
+        if low == 0 && high == 0 {
+            return None;
+        }
+        Some(Return {
+            t: self.t.offset_nanos(i64::from(self.fire_ns[c])),
+            x_m: self.x_m[c],
+            y_m: self.y_m[c],
+            z_m: self.z_m[c],
+            azimuth_cdeg: behind(self.azimuth_cdeg, self.zero[c]),
+            channel,
+            intensity,
+            block: self.block,
+        })
     }
 }
 
-struct Job<'a, 'b, 'c> {
-    firing: &'a Firing<'b, 'c>,
-    geometry: &'a Geometry,
-    sweeps: &'a Sweeps,
-    options: &'a Options,
+impl<'b> Job<'_, 'b> {
+    /// Hands the firing to `sink`; gives the number of its returns, and that of unique ones.
+    pub fn run<S: ReturnSink>(&self, sink: &mut S) -> (u32, u32) {
+        match (self.packet.model(), self.packet.stride()) {
+            (Model::Qt64, _) => self.echoes::<64, 4, S>(sink),
+            (Model::Qt128, 3) => self.echoes::<128, 3, S>(sink),
+            (Model::Qt128, _) => self.echoes::<128, 4, S>(sink),
+            (Model::Xt32 | Model::Xt32m, _) => self.echoes::<32, 4, S>(sink),
+            (Model::Xt16, _) => self.echoes::<16, 4, S>(sink),
+            (Model::Pandar64, _) => self.echoes::<64, 3, S>(sink),
+            (Model::Pandar40p, _) => self.echoes::<40, 3, S>(sink),
+        }
+    }
+
+    fn echoes<const C: usize, const STRIDE: usize, S: ReturnSink>(
+        &self,
+        sink: &mut S,
+    ) -> (u32, u32) {
+        match self.packet.return_mode().returns() {
+            1 => self.blocks::<C, STRIDE, 1, S>(sink),
+            2 => self.blocks::<C, STRIDE, 2, S>(sink),
+            _ => self.blocks::<C, STRIDE, 3, S>(sink),
+        }
+    }
+
+    fn blocks<const C: usize, const STRIDE: usize, const R: usize, S: ReturnSink>(
+        &self,
+        sink: &mut S,
+    ) -> (u32, u32) {
+        let mut echoes = [[0; C]; R];
+        for (r, echoes) in echoes.iter_mut().enumerate() {
+            read::<C, STRIDE>(self.packet, self.block + r, echoes);
+        }
+        let found: u32 = echoes.iter().map(count).sum();
+        let repeated = repeated(&echoes);
+        if self.options.returns == Returns::Unique && repeated > 0 {
+            drop_repeated(&mut echoes);
+        }
+        let mut lanes: [Lanes<C>; R] = [const { Lanes::ZERO }; R];
+        let mut direction = Direction::of(self.packet.azimuth_cdeg(self.block));
+        for (r, (lanes, echoes)) in lanes.iter_mut().zip(&echoes).enumerate() {
+            // Echoes share their firing's azimuth; in a damaged packet they need not.
+            let azimuth_cdeg = self.packet.azimuth_cdeg(self.block + r);
+            if azimuth_cdeg != direction.azimuth_cdeg {
+                direction = Direction::of(azimuth_cdeg);
+            }
+            lanes.place(echoes, &direction, self.packet.unit_mm(), self.geometry);
+            if let Some(centre) = self.options.optical_centre_m {
+                recentre(lanes, centre);
+            }
+        }
+        let (low, high) = self.geometry.seam.sweeps(self.angle);
+        let place = (low, low != high);
+        let blocks = core::array::from_fn(|r| self.view(r, &echoes[r], &lanes[r], place));
+        sink.on_firing::<R>(&blocks);
+        (found, found - repeated)
+    }
+
+    #[inline]
+    fn view<'c, const C: usize>(
+        &'c self,
+        r: usize,
+        echo: &'c [u32; C],
+        lanes: &'c Lanes<C>,
+        (low, seam): (i64, bool),
+    ) -> Block<'c> {
+        let Geometry {
+            zero, cut, fire_ns, ..
+        } = self.geometry;
+        // Offsets are half a turn at most: less than three turns from the sweep's start.
+        let past = i32::try_from(self.angle - low * TURN).unwrap_or(0);
+        Block {
+            x_m: &lanes.x,
+            y_m: &lanes.y,
+            z_m: &lanes.z,
+            echo,
+            fire_ns: &fire_ns[..C],
+            t: Stamp::from_nanos(self.t_ns),
+            azimuth_cdeg: self.packet.azimuth_cdeg(self.block + r),
+            block: u8::try_from(self.block + r).unwrap_or(u8::MAX),
+            zero: &zero[..C],
+            cut: &cut[..C],
+            sweep: (self.sweeps.number(low), past),
+            seam,
+        }
+    }
+}
+
+/// Where a block looks.
+struct Direction {
+    azimuth_cdeg: u16,
+    sin: f32,
+    cos: f32,
+}
+
+impl Direction {
+    fn of(azimuth_cdeg: u16) -> Self {
+        let (sin, cos) = geometry::sin_cos_cdeg(azimuth_cdeg);
+        Self {
+            azimuth_cdeg,
+            sin,
+            cos,
+        }
+    }
 }
 
 /// Coordinates of one block's channels, metres.
@@ -63,139 +217,79 @@ struct Lanes<const C: usize> {
     z: [f32; C],
 }
 
-impl Job<'_, '_, '_> {
-    fn echoes<const C: usize, const STRIDE: usize, S: ReturnSink>(
-        &self,
-        sink: &mut S,
-    ) -> (u32, u32) {
-        match self.firing.packet.return_mode().returns() {
-            1 => self.run::<C, STRIDE, 1, S>(sink),
-            2 => self.run::<C, STRIDE, 2, S>(sink),
-            _ => self.run::<C, STRIDE, 3, S>(sink),
-        }
-    }
+impl<const C: usize> Lanes<C> {
+    const ZERO: Self = Self {
+        x: [0.0; C],
+        y: [0.0; C],
+        z: [0.0; C],
+    };
 
-    fn run<const C: usize, const STRIDE: usize, const R: usize, S: ReturnSink>(
-        &self,
-        sink: &mut S,
-    ) -> (u32, u32) {
-        let echoes: [[u32; C]; R] =
-            core::array::from_fn(|r| read::<C, STRIDE>(self.firing.packet, self.firing.block + r));
-        let unique = unique(&echoes);
-        let lanes: [Lanes<C>; R] = core::array::from_fn(|r| self.place(&echoes[r], r));
-        let found = echoes.iter().map(|block| count(block)).sum();
-        let points = unique.iter().map(|block| count(block)).sum();
-        let kept = match self.options.returns {
-            Returns::All => &echoes,
-            Returns::Unique => &unique,
-        };
-        let (low, high) = self.geometry.seam.sweeps(self.firing.angle);
-        if low == high {
-            let number = self.sweeps.number(low);
-            self.emit(kept, &lanes, |_| number, sink);
-        } else {
-            let base = self.firing.angle - low * TURN;
-            let sweep = |c: usize| {
-                let turns = (base - i64::from(self.geometry.cut[c])).div_euclid(TURN);
-                self.sweeps.number(low + turns)
-            };
-            self.emit(kept, &lanes, sweep, sink);
-        }
-        (found, points)
-    }
-
-    /// Coordinates of one block. A dual pair shares its azimuth; damaged ones need not.
-    fn place<const C: usize>(&self, echoes: &[u32; C], r: usize) -> Lanes<C> {
-        let azimuth = self.firing.packet.azimuth_cdeg(self.firing.block + r);
-        let (sin, cos) = geometry::sin_cos_cdeg(azimuth);
-        let unit_m = f32::from(self.firing.packet.unit_mm()) * 1e-3;
-        let mut lanes = Lanes {
-            x: [0.0; C],
-            y: [0.0; C],
-            z: [0.0; C],
-        };
+    #[inline]
+    fn place(&mut self, echoes: &[u32; C], at: &Direction, unit_mm: u8, geometry: &Geometry) {
+        let Direction { sin, cos, .. } = *at;
+        let unit_m = f32::from(unit_mm) * 1e-3;
         let Geometry {
             ahead, aside, up, ..
-        } = self.geometry;
+        } = geometry;
         for c in 0..C {
             let bytes = echoes[c].to_le_bytes();
             let d = f32::from(u16::from_le_bytes([bytes[0], bytes[1]])) * unit_m;
-            lanes.x[c] = d * (ahead[c] * sin + aside[c] * cos);
-            lanes.y[c] = d * (ahead[c] * cos - aside[c] * sin);
-            lanes.z[c] = d * up[c];
-        }
-        if let Some(centre) = self.options.optical_centre_m {
-            recentre(&mut lanes, centre);
-        }
-        lanes
-    }
-
-    fn emit<const C: usize, const R: usize, S: ReturnSink>(
-        &self,
-        kept: &[[u32; C]; R],
-        lanes: &[Lanes<C>; R],
-        sweep: impl Fn(usize) -> u32,
-        sink: &mut S,
-    ) {
-        let azimuths: [u16; R] =
-            core::array::from_fn(|r| self.firing.packet.azimuth_cdeg(self.firing.block + r));
-        let first_block = u8::try_from(self.firing.block).unwrap_or(u8::MAX);
-        for (c, channel) in (0..C).zip(0u8..) {
-            for (r, block) in (0..R).zip(first_block..) {
-                let [low, high, intensity, _] = kept[r][c].to_le_bytes();
-                if low == 0 && high == 0 {
-                    continue;
-                }
-                let fire_ns = i64::from(self.geometry.fire_ns[c]);
-                let t = Stamp::from_nanos(self.firing.t_ns.wrapping_add_signed(fire_ns));
-                let r = Return {
-                    t,
-                    x_m: lanes[r].x[c],
-                    y_m: lanes[r].y[c],
-                    z_m: lanes[r].z[c],
-                    azimuth_cdeg: behind(azimuths[r], self.geometry.zero[c]),
-                    channel,
-                    intensity,
-                    block,
-                };
-                sink.on_return(r, sweep(c));
-            }
+            self.x[c] = d * (ahead[c] * sin + aside[c] * cos);
+            self.y[c] = d * (ahead[c] * cos - aside[c] * sin);
+            self.z[c] = d * up[c];
         }
     }
 }
 
-/// Distance and intensity of all channels of a block.
+/// Distance and intensity of all channels of a block; 0 where the distance is.
 #[inline]
-fn read<const C: usize, const STRIDE: usize>(packet: &Packet<'_>, block: usize) -> [u32; C] {
+fn read<const C: usize, const STRIDE: usize>(
+    packet: &Packet<'_>,
+    block: usize,
+    echoes: &mut [u32; C],
+) {
     let (units, _) = packet.channels(block).as_chunks::<STRIDE>();
     let units = units
         .first_chunk::<C>()
         .expect("a checked packet has all its channels");
-    // The fourth byte is masked off; taking the last of `STRIDE` lets a whole word be loaded.
-    units.map(|unit| u32::from_le_bytes([unit[0], unit[1], unit[2], unit[STRIDE - 1]]) & ECHO)
-}
-
-/// As `echoes`, without those that a later block repeats.
-#[inline]
-fn unique<const C: usize, const R: usize>(echoes: &[[u32; C]; R]) -> [[u32; C]; R] {
-    let mut unique = *echoes;
-    for r in 0..R {
-        for later in r + 1..R {
-            for c in 0..C {
-                let same = echoes[r][c] == echoes[later][c];
-                unique[r][c] = if same { 0 } else { unique[r][c] };
-            }
-        }
+    for c in 0..C {
+        let unit = &units[c];
+        // The fourth byte is masked off; taking the last of `STRIDE` lets a whole word be loaded.
+        let word = u32::from_le_bytes([unit[0], unit[1], unit[2], unit[STRIDE - 1]]) & ECHO;
+        echoes[c] = if word & DISTANCE == 0 { 0 } else { word };
     }
-    unique
 }
 
 #[inline]
 fn count<const C: usize>(echoes: &[u32; C]) -> u32 {
-    echoes
-        .iter()
-        .map(|&echo| u32::from(echo & DISTANCE != 0))
-        .sum()
+    echoes.iter().map(|&echo| u32::from(echo != 0)).sum()
+}
+
+/// Returns that a later block of the firing repeats.
+#[inline]
+fn repeated<const C: usize, const R: usize>(echoes: &[[u32; C]; R]) -> u32 {
+    let mut repeated = 0;
+    for r in 0..R {
+        for c in 0..C {
+            let echo = echoes[r][c];
+            let again = (r + 1..R).fold(false, |again, later| again | (echo == echoes[later][c]));
+            repeated += u32::from(again & (echo != 0));
+        }
+    }
+    repeated
+}
+
+/// Leaves of equal returns the last.
+#[inline]
+fn drop_repeated<const C: usize, const R: usize>(echoes: &mut [[u32; C]; R]) {
+    for r in 0..R {
+        for later in r + 1..R {
+            for c in 0..C {
+                let same = echoes[r][c] == echoes[later][c];
+                echoes[r][c] = if same { 0 } else { echoes[r][c] };
+            }
+        }
+    }
 }
 
 /// `azimuth` seen from `zero`, both in `0..36_000`.
@@ -235,14 +329,11 @@ mod tests {
 
     #[test]
     fn equal_echoes_keep_the_last_block() {
-        let echoes = [[5, 6, 0, 7], [5, 9, 0, 0], [5, 6, 0, 7]];
-        assert_eq!(unique(&echoes), [[0, 0, 0, 0], [0, 9, 0, 0], [5, 6, 0, 7]]);
-        assert_eq!(unique(&[[5, 0x01_0005]]), [[5, 0x01_0005]]);
-        assert_eq!(
-            count(&[0x01_0000, 1, 0xff_ffff, 0]),
-            2,
-            "intensity alone is no return"
-        );
+        let mut echoes = [[5, 6, 0, 7], [5, 9, 0, 0], [5, 6, 0, 7]];
+        assert_eq!(repeated(&echoes), 4);
+        drop_repeated(&mut echoes);
+        assert_eq!(echoes, [[0, 0, 0, 0], [0, 9, 0, 0], [5, 6, 0, 7]]);
+        assert_eq!(repeated(&[[5, 0x01_0005]]), 0);
     }
 
     #[test]

@@ -21,6 +21,7 @@ pub use counts::{Counts, Rejected};
 pub use decoder::{Decoder, Options, OptionsError, PacketInfo, ReturnSink, Returns};
 pub use encode::{EncodeError, QT64_PACKET_LEN, Qt64Echoes, Qt64Encoder};
 pub use fire_times::FireTimes;
+pub use firing::Block;
 pub use mode::{Echo, ReturnMode};
 pub use model::Model;
 pub use packet::{Packet, PacketError};

@@ -112,8 +112,8 @@ impl Sweeps {
             return azimuth;
         };
         // Turns per minute to hundredths of a degree per nanosecond: 36,000 / 60e9.
-        let advance = i128::from(elapsed_ns) * i128::from(rpm) * 6 / 10_000_000;
-        let predicted = newest.saturating_add(i64::try_from(advance).unwrap_or(0));
+        let advance = elapsed_ns.saturating_mul(i64::from(rpm) * 6) / 10_000_000;
+        let predicted = newest.saturating_add(advance);
         nearest(azimuth, predicted)
     }
 
