@@ -1,4 +1,15 @@
 //! Depth maps without a network: completion, metrics, pictures.
+//!
+//! - [`Completer`] turns a sparse map into a dense one, either by the exact nearest return or by
+//!   planes in inverse depth fitted to the returns of touching nearest-return cells, with an
+//!   edge-keeping blur over their seams. It allocates once, when it is made.
+//! - [`metrics()`], [`edge_band`], [`masked_mae`] and [`temporal_change`] say how far a map is from
+//!   the truth; [`ScoreTable`] averages over images, the same however the images were shared out.
+//! - [`ContactSheet`] and its neighbours draw; [`read_depth_png16`] and [`write_depth_png16`] keep
+//!   the 16-bit format of the KITTI depth benchmark.
+//!
+//! Maps are slices of metres, row by row, top left first, 0 where there is nothing. The crate
+//! knows neither sensors nor networks, reads no clock and starts no thread.
 #![forbid(unsafe_code)]
 #![allow(
     clippy::cast_possible_truncation,

@@ -125,14 +125,26 @@ impl Filler {
         let width = self.size.width();
         let reach_px = self.spacing.reach_px();
         let reach_sq = reach_px * reach_px;
-        for (index, inverse) in self.inverse.iter_mut().enumerate() {
-            let surface = &self.surfaces[field.source[index] as usize];
-            let distance_sq = field.distance_sq[index] as f32;
-            *inverse = surface.at((index % width) as f32, (index / width) as f32);
-            if distance_sq > reach_sq {
-                let beyond = distance_sq.sqrt() / reach_px - 1.0;
-                let lean = (1.0 + LEAN * beyond).min(LEAN_MAX);
-                *inverse = (*inverse / lean).max(INVERSE_MIN_PER_M);
+        let sources = field
+            .source
+            .chunks_exact(width)
+            .zip(field.distance_sq.chunks_exact(width));
+        for (y, (row, cells)) in self
+            .inverse
+            .chunks_exact_mut(width)
+            .zip(sources)
+            .enumerate()
+        {
+            for (x, (inverse, (&source, &distance_sq))) in
+                row.iter_mut().zip(cells.0.iter().zip(cells.1)).enumerate()
+            {
+                *inverse = self.surfaces[source as usize].at(x as f32, y as f32);
+                let distance_sq = distance_sq as f32;
+                if distance_sq > reach_sq {
+                    let beyond = distance_sq.sqrt() / reach_px - 1.0;
+                    let lean = (1.0 + LEAN * beyond).min(LEAN_MAX);
+                    *inverse = (*inverse / lean).max(INVERSE_MIN_PER_M);
+                }
             }
         }
     }

@@ -8,7 +8,7 @@ const STEPS: usize = 256;
 /// A smooth run of colours over `0..=1`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ramp {
-    rgb: Vec<[u8; 3]>,
+    rgb: [[u8; 3]; STEPS],
 }
 
 /// Near to far: lightness falls steadily while the hue turns from lamplight to night sky.
@@ -66,17 +66,14 @@ impl Ramp {
     /// Colour at `position`, which is clamped to `0..=1`; not a number reads as 0.
     #[inline]
     pub fn at(&self, position: f32) -> [u8; 3] {
-        // `max` first: it turns NaN into 0.
-        let step = position.max(0.0).min(1.0) * (STEPS - 1) as f32 + 0.5;
+        // NaN survives the clamp and becomes 0 as an integer.
+        let step = position.clamp(0.0, 1.0) * (STEPS - 1) as f32 + 0.5;
         self.rgb[(step as usize).min(STEPS - 1)]
     }
 
     /// Blends between anchors `(position, sRGB)`; positions rise from 0 to 1.
-    fn through(anchors: &[(f32, [u8; 3])]) -> Self {
-        let lab: Vec<(f32, [f32; 3])> = anchors
-            .iter()
-            .map(|&(position, rgb)| (position, oklab_from_srgb(rgb)))
-            .collect();
+    fn through<const N: usize>(anchors: &[(f32, [u8; 3]); N]) -> Self {
+        let lab = anchors.map(|(position, rgb)| (position, oklab_from_srgb(rgb)));
         let colour = |step: usize| {
             let position = step as f32 / (STEPS - 1) as f32;
             let upper = lab
@@ -87,7 +84,7 @@ impl Ramp {
             srgb_from_oklab(std::array::from_fn(|i| a[i] + share * (b[i] - a[i])))
         };
         Self {
-            rgb: (0..STEPS).map(colour).collect(),
+            rgb: std::array::from_fn(colour),
         }
     }
 }

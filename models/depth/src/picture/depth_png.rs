@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn metres_times_256_there_and_back() {
-        let depth = [0.0, 1.0, 2.5, 80.0, 255.996_09, 0.001];
+        let depth = [0.0, 1.0, 2.5, 80.0, 255.996_1, 0.001];
         let image = read_depth_png16(&written(3, 2, &depth)[..]).expect("just written");
         assert_eq!((image.width, image.height), (3, 2));
         // The last would round to 0, which means empty: it becomes the smallest code instead.

@@ -27,10 +27,10 @@ impl Legend {
         let ticks = scale
             .ticks_m()
             .into_iter()
-            .map(|tick| (scale.position(tick), metres(tick)))
+            .map(|tick| (scale.position(tick), number(tick)))
             .collect();
         Self {
-            title: "depth".into(),
+            title: "depth, metres".into(),
             ramp: Ramp::depth(),
             ticks,
         }
@@ -43,11 +43,11 @@ impl Legend {
             let sign = if share > 0.0 { "+" } else { "" };
             (
                 error_position(error_m, full_m),
-                format!("{sign}{}", metres(error_m)),
+                format!("{sign}{}", number(error_m)),
             )
         });
         Self {
-            title: "error, - too near + too far".into(),
+            title: "error, metres: - too near, + too far".into(),
             ramp: Ramp::signed(),
             ticks: ticks.into(),
         }
@@ -96,10 +96,10 @@ impl Legend {
     }
 }
 
-/// A length with as many digits as it needs: `0.5 m`, `80 m`.
-fn metres(value_m: f32) -> String {
-    let text = format!("{value_m:.2}");
-    format!("{} m", text.trim_end_matches('0').trim_end_matches('.'))
+/// A number with as many digits as it needs: `0.5`, `80`.
+fn number(value: f32) -> String {
+    let text = format!("{value:.2}");
+    text.trim_end_matches('0').trim_end_matches('.').into()
 }
 
 #[cfg(test)]
@@ -107,9 +107,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lengths_read_plainly() {
-        let texts = [0.5, 80.0, 0.0, 10.0, -0.25].map(metres);
-        assert_eq!(texts, ["0.5 m", "80 m", "0 m", "10 m", "-0.25 m"]);
+    fn numbers_read_plainly() {
+        let texts = [0.5, 80.0, 0.0, 10.0, -0.25].map(number);
+        assert_eq!(texts, ["0.5", "80", "0", "10", "-0.25"]);
     }
 
     #[test]

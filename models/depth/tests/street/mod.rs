@@ -1,6 +1,11 @@
 //! A made-up street, ray-cast exactly: dense truth and what a 64-channel LiDAR would return of it.
 //!
 //! Camera frame: x right, y down, z forward, metres. The camera stands 1.5 m above the road.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "pixels of a small map, checked to lie inside"
+)]
 
 /// Pixels of a side of the maps.
 pub const SIDE: usize = 256;
