@@ -12,12 +12,12 @@ use crate::config::{Config, ConfigError};
 use crate::rdu::bank_size;
 
 /// Parameters and multiply-adds of one part.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Cost {
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Cost {
     /// Trained values; running statistics and fixed atoms are not counted.
-    pub params: u64,
+    params: u64,
     /// Multiply-adds.
-    pub macs: u64,
+    macs: u64,
 }
 
 /// One module and its cost per exposure.

@@ -23,10 +23,12 @@
 mod accounting;
 mod blocks;
 mod config;
+mod conv;
 mod conv_cpu;
 mod efr;
 mod init;
 mod network;
+mod norm;
 mod params;
 mod parity;
 mod pass;
@@ -34,7 +36,7 @@ mod rdu;
 mod sequence;
 mod weights;
 
-pub use accounting::{Cost, Description, ModuleCost, describe};
+pub use accounting::{Description, ModuleCost, describe};
 pub use config::{COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, SIDE_MULTIPLE, Variant, WIDTH_MAX};
 pub use network::{Network, NetworkError, Outputs, slots};
 pub use params::{Init, Norms, Role, Slot};

@@ -2,8 +2,9 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::blocks::{Conv, ConvShape, leaky_relu};
+use crate::blocks::leaky_relu;
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 
 /// Predicts the scale and the shift that [`super::Efr::step`] applies.

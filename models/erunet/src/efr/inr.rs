@@ -2,8 +2,9 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::blocks::{Conv, ConvShape, ResEs, Up, leaky_relu};
+use crate::blocks::{ResEs, Up, leaky_relu};
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 
 /// Halves the size, then refines: Phi_1 (`enc1`) and Phi_2 (`enc2`).

@@ -2,8 +2,9 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::blocks::{Conv, ConvShape, leaky_relu};
+use crate::blocks::leaky_relu;
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 
 /// The blurred picture plus a correction, which starts as nothing: a random head settles on

@@ -2,8 +2,9 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::blocks::{Conv, ConvShape, ResEs, leaky_relu, nearest_2x};
+use crate::blocks::{ResEs, leaky_relu, nearest_2x};
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 
 /// Phi_spatial: three levels down, merged back up to full size.

@@ -4,8 +4,9 @@ use std::f32::consts::PI;
 
 use candle_core::{DType, Device, Result, Tensor};
 
-use crate::blocks::{Conv, ConvShape, ResEs, leaky_relu};
+use crate::blocks::{ResEs, leaky_relu};
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 
 /// Phi_temporal: an event stem at a quarter of the size, then a coordinate network.

@@ -4,8 +4,9 @@
 use candle_core::{Result, Tensor};
 
 use super::garf::Garf;
-use crate::blocks::{Conv, ConvBn, ConvShape, ResDs, Up, sigmoid};
+use crate::blocks::{ConvBn, ResDs, Up, sigmoid};
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 use crate::pass::Pass;
 

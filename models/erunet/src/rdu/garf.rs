@@ -8,8 +8,8 @@ use candle_core::{Device, Result, Tensor};
 
 use super::atoms::bank_size;
 use super::garf_cpu::FilterCpu;
-use crate::blocks::{Conv, ConvShape};
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::{Init, Params, Role};
 
 /// Guided adaptive receptive fields of one decoder level.

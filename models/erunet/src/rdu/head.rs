@@ -2,8 +2,9 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::blocks::{Conv, ConvShape, relu, sigmoid};
+use crate::blocks::{relu, sigmoid};
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 
 /// Two convolutions and a logistic function, so that no depth is ever negative or infinite.

@@ -14,8 +14,9 @@ use candle_core::{Result, Tensor};
 
 pub(crate) use atoms::{bank, bank_size};
 
-use crate::blocks::{Conv, ConvBn, ConvShape, ResDs, leaky_relu};
+use crate::blocks::{ConvBn, ResDs, leaky_relu};
 use crate::config::Config;
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 use crate::pass::Pass;
 use decoder::DecStage;

@@ -2,7 +2,8 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::blocks::{Conv, ConvBn, ConvShape, ResDs, relu};
+use crate::blocks::{ConvBn, ResDs, relu};
+use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 use crate::pass::Pass;
 
