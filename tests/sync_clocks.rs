@@ -1,4 +1,10 @@
 //! Clock fits scored against simulated clocks whose truth is known: skew, jitter, loss, steps.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::unwrap_used,
+    reason = "simulated instants are positive and small; a test may stop where it stands"
+)]
 
 use noctule::sync::{
     EnvelopeConfig, EnvelopeFit, EpochCause, Observation, PairedConfig, PairedFit,

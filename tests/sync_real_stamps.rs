@@ -1,6 +1,12 @@
 //! The envelope fit on host stamps of real event cameras: fitted to the even packets, judged by
 //! the odd ones. The captures are found through `NOCTULE_DATA`; without it these tests say so and
 //! rest on the simulated clocks of `sync_clocks`.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::unwrap_used,
+    reason = "simulated instants are positive and small; a test may stop where it stands"
+)]
 
 use std::path::{Path, PathBuf};
 

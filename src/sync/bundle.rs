@@ -251,7 +251,7 @@ impl BundleCloser {
         now: Stamp<Realtime>,
         emit: &mut impl FnMut(BundleDecision),
     ) {
-        self.set_now(now);
+        self.set_now(now, emit);
         match *event {
             ExposureEvent::Opened {
                 id,
@@ -297,7 +297,7 @@ impl BundleCloser {
         now: Stamp<Realtime>,
         emit: &mut impl FnMut(BundleDecision),
     ) {
-        self.set_now(now);
+        self.set_now(now, emit);
         self.events = Some(watermark);
         self.note_passed();
         self.close_ready(emit);
@@ -311,7 +311,7 @@ impl BundleCloser {
         now: Stamp<Realtime>,
         emit: &mut impl FnMut(BundleDecision),
     ) {
-        self.set_now(now);
+        self.set_now(now, emit);
         self.watermarks[stream.index()] = Some(watermark);
         self.note_passed();
         self.close_ready(emit);
@@ -335,7 +335,7 @@ impl BundleCloser {
         now: Stamp<Realtime>,
         emit: &mut impl FnMut(BundleDecision),
     ) {
-        self.set_now(now);
+        self.set_now(now, emit);
         self.watermarks[stream.index()] = None;
         if stream == Stream::Events {
             self.events = None;
@@ -351,8 +351,7 @@ impl BundleCloser {
 
     /// Something arrived at `now`, from whatever stream: closes what is due.
     pub fn arrival(&mut self, now: Stamp<Realtime>, emit: &mut impl FnMut(BundleDecision)) {
-        self.set_now(now);
-        self.close_ready(emit);
+        self.set_now(now, emit);
     }
 
     /// The input has ended: everything pending goes out as it is.
@@ -363,8 +362,10 @@ impl BundleCloser {
         }
     }
 
-    /// Arrival time never goes back; when the host's clock was set back, deadlines move with it.
-    fn set_now(&mut self, now: Stamp<Realtime>) {
+    /// Arrival time has come to `now`: closes what is due before the input itself is considered,
+    /// so that inputs of one instant may come in any order. Arrival time never goes back; when the
+    /// host's clock was set back, deadlines move with it.
+    fn set_now(&mut self, now: Stamp<Realtime>, emit: &mut impl FnMut(BundleDecision)) {
         let step = now.diff_nanos(self.now);
         if step < -HICCUP_NS {
             self.counts.arrival_steps += 1;
@@ -375,6 +376,7 @@ impl BundleCloser {
         } else {
             self.now = self.now.max(now);
         }
+        self.close_ready(emit);
     }
 
     fn open(&mut self, exposure: Exposure, emit: &mut impl FnMut(BundleDecision)) {

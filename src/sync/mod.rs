@@ -2,6 +2,19 @@
 //!
 //! Pure: instants in, decisions out. Nothing here reads a clock, does I/O, starts a thread or
 //! allocates after construction; the same inputs in the same order give the same decisions.
+//!
+//! A host takes its inputs in order of (arrival, stream) and hands each to three machines:
+//!
+//! - [`Timeline`] learns from every arrival and every strobe pair how the clocks relate, and says
+//!   when one of them is no longer the clock it was ([`Observation::NewEpoch`]).
+//! - [`ExposureTracker`] turns strobe edges and image stamps into [`ExposureEvent`]s. On a new
+//!   epoch of the event camera it must be told ([`ExposureTracker::clock_changed`]); the pairs in
+//!   its `Imaged` events go back to [`Timeline::strobe_pair`]. Without a strobe,
+//!   [`VirtualExposures`] or [`PeriodicExposures`] speak in its place.
+//! - [`BundleCloser`] hears those events, the watermarks of all streams and their losses, and
+//!   closes one [`BundleDecision`] per exposure, complete or at its deadline.
+//!
+//! Stamps of a stream whose last observation was `Suspect` or `Late` are not used as watermarks.
 
 mod bundle;
 mod clocks;

@@ -1,5 +1,10 @@
 //! Simulated clocks with a known truth, shared by the tests of synchronisation.
-#![allow(dead_code, reason = "each test program uses its own part")]
+#![allow(
+    dead_code,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "each test program uses its own part; simulated instants are positive and small"
+)]
 
 use noctule_sensor::{Clock, Evk4, Stamp};
 

@@ -71,7 +71,9 @@ impl Rhythm {
         if let Some(last) = self.last_open {
             let spacing = open.diff_nanos(last);
             // Across a missed exposure the spacing is a multiple.
-            let turns = self.period_ns.map_or(1, |p| ((spacing + p / 2) / p).max(1));
+            let turns = self
+                .period_ns
+                .map_or(1, |p| (spacing.saturating_add(p / 2) / p).max(1));
             self.spacings.push(spacing / turns);
             self.period_ns = self.agreed_period();
         }
@@ -83,7 +85,7 @@ impl Rhythm {
         let period = self.spacings.median().filter(|&p| p > 0)?;
         let agreeing = self.spacings.values[..self.spacings.len]
             .iter()
-            .filter(|&&s| (s - period).abs() <= period / AGREEMENT)
+            .filter(|&&s| s.saturating_sub(period).saturating_abs() <= period / AGREEMENT)
             .count();
         (agreeing >= SPACINGS_MIN && agreeing + 2 >= self.spacings.len).then_some(period)
     }
@@ -96,7 +98,51 @@ impl Rhythm {
             return false;
         };
         let since = at.diff_nanos(last);
-        let turns = (since + period / 2).div_euclid(period);
+        let turns = since.saturating_add(period / 2).div_euclid(period);
         (1..=TURNS_MAX).contains(&turns) && (since - turns * period).abs() <= tolerance_ns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rhythm(opens_ms: &[u64]) -> Rhythm {
+        let mut rhythm = Rhythm::default();
+        for &ms in opens_ms {
+            rhythm.open(Stamp::from_micros(ms * 1000));
+        }
+        rhythm
+    }
+
+    #[test]
+    fn a_period_is_believed_after_three_spacings_and_survives_a_gap() {
+        assert_eq!(rhythm(&[0, 200, 400]).period_ns(), None);
+        let kept = rhythm(&[0, 200, 400, 600, 1200]);
+        assert_eq!(kept.period_ns(), Some(200_000_000));
+        let at = |us: u64| kept.is_in_step(Stamp::from_micros(us), 1_000_000);
+        assert!(at(1_400_500) && at(1_999_500) && !at(1_405_000));
+        assert!(!at(1_200_000), "the last opening itself is not a new one");
+        assert!(
+            !at(1_200_000 + 21 * 200_000),
+            "too long ago to count periods"
+        );
+    }
+
+    #[test]
+    fn irregular_openings_have_no_period() {
+        assert_eq!(rhythm(&[0, 130, 500, 610, 1000, 1700]).period_ns(), None);
+    }
+
+    #[test]
+    fn the_median_width_ignores_one_bad_one() {
+        let mut rhythm = Rhythm::default();
+        for width in [80, 80, 260, 81, 80] {
+            rhythm.width(width);
+        }
+        assert_eq!(
+            (rhythm.width_ns(), rhythm.last_width_ns()),
+            (Some(80), Some(80))
+        );
     }
 }

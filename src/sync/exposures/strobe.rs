@@ -283,3 +283,177 @@ impl Strobe {
         self.lone_close(t, counts, emit);
     }
 }
+
+#[cfg(test)]
+#[allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "times here are positive and small"
+)]
+mod tests {
+    use super::*;
+
+    /// Edges as (milliseconds, rising).
+    fn run(config: StrobeConfig, edges: &[(f64, bool)]) -> (Vec<Shutter>, ExposureCounts) {
+        let mut strobe = Strobe::new(config);
+        let mut counts = ExposureCounts::default();
+        let mut out = Vec::new();
+        for &(ms, rising) in edges {
+            let t = Stamp::from_nanos((ms * 1e6) as u64);
+            let edge = TriggerEdge {
+                t,
+                channel: 0,
+                rising,
+            };
+            strobe.edge(edge, &mut counts, &mut |s| out.push(s));
+        }
+        (out, counts)
+    }
+
+    /// Regular exposures of 80 ms every 200 ms.
+    fn regular(count: u32) -> Vec<(f64, bool)> {
+        let open = |i: u32| 1000.0 + f64::from(i) * 200.0;
+        (0..count)
+            .flat_map(|i| [(open(i), true), (open(i) + 80.0, false)])
+            .collect()
+    }
+
+    /// Closed intervals in milliseconds, with their flags.
+    fn closed(out: &[Shutter]) -> Vec<(u64, u64, ExposureFlags)> {
+        out.iter()
+            .filter_map(|s| match *s {
+                Shutter::Closed { open, close, flags } => {
+                    Some((open.as_micros() / 1000, close.as_micros() / 1000, flags))
+                }
+                _ => None,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn regular_edges_open_and_close_with_a_prediction() {
+        let (out, counts) = run(StrobeConfig::default(), &regular(3));
+        let expected = [1000, 1200, 1400].map(|o| (o, o + 80, ExposureFlags::NONE));
+        assert_eq!(closed(&out), expected);
+        assert_eq!(
+            counts,
+            ExposureCounts {
+                edges: 6,
+                ..ExposureCounts::default()
+            }
+        );
+        let Shutter::Opened {
+            close_predicted, ..
+        } = out[2]
+        else {
+            panic!("{out:?}")
+        };
+        assert_eq!(close_predicted, Some(Stamp::from_micros(1_280_000)));
+    }
+
+    #[test]
+    fn polarity_and_delays_are_taken_off() {
+        let config = StrobeConfig {
+            is_inverted: true,
+            open_delay_ns: 5_000,
+            close_delay_ns: 30_000,
+            ..StrobeConfig::default()
+        };
+        let (out, _) = run(config, &[(10.0, false), (90.0, true)]);
+        let Shutter::Closed { open, close, .. } = out[1] else {
+            panic!("{out:?}")
+        };
+        assert_eq!((open.as_micros(), close.as_micros()), (9_995, 89_970));
+    }
+
+    #[test]
+    fn each_missing_edge_is_put_back_where_the_rhythm_says() {
+        for (missing, flags) in [
+            (10, ExposureFlags::OPEN_REPAIRED),
+            (11, ExposureFlags::CLOSE_REPAIRED),
+        ] {
+            let mut edges = regular(8);
+            edges.remove(missing);
+            let (out, counts) = run(StrobeConfig::default(), &edges);
+            let closed = closed(&out);
+            assert_eq!(closed.len(), 8);
+            assert_eq!(closed[5], (2000, 2080, flags));
+            assert_eq!(counts.edges_repaired, 1);
+        }
+    }
+
+    #[test]
+    fn a_close_and_the_next_opening_missing_are_both_put_back() {
+        let mut edges = regular(8);
+        edges.drain(11..13);
+        let (out, counts) = run(StrobeConfig::default(), &edges);
+        let closed = closed(&out);
+        assert_eq!(closed[5], (2000, 2080, ExposureFlags::CLOSE_REPAIRED));
+        assert_eq!(closed[6], (2200, 2280, ExposureFlags::OPEN_REPAIRED));
+        assert_eq!((closed.len(), counts.edges_repaired), (8, 2));
+    }
+
+    #[test]
+    fn inverted_edges_are_known_by_their_place() {
+        for wrong in [10, 11] {
+            let mut edges = regular(8);
+            edges[wrong].1 ^= true;
+            let (out, counts) = run(StrobeConfig::default(), &edges);
+            let closed = closed(&out);
+            assert_eq!(
+                closed[5],
+                (2000, 2080, ExposureFlags::EDGE_INVERTED),
+                "edge {wrong}"
+            );
+            assert_eq!((closed.len(), counts.edges_inverted), (8, 1));
+        }
+    }
+
+    #[test]
+    fn doubled_edges_and_glitches_change_nothing() {
+        let mut edges = regular(6);
+        edges.insert(5, (1400.02, true)); // a bounce
+        edges.insert(7, (1481.0, false)); // reported again a millisecond later
+        edges.insert(8, (1550.0, true)); // 0.1 ms of noise between exposures
+        edges.insert(9, (1550.1, false));
+        let (out, counts) = run(StrobeConfig::default(), &edges);
+        assert_eq!(closed(&out).len(), 6);
+        assert!(closed(&out).iter().all(|c| c.1 - c.0 == 80));
+        assert_eq!((counts.edges_doubled, counts.edges_stray), (1, 3));
+        assert!(out.contains(&Shutter::Discarded(DiscardReason::Glitch)));
+    }
+
+    #[test]
+    fn a_counter_that_goes_back_is_a_new_clock() {
+        let mut edges = regular(5);
+        edges.extend([(3.0, true), (83.0, false)]);
+        let (out, _) = run(StrobeConfig::default(), &edges);
+        assert!(out.contains(&Shutter::ClockChanged));
+        assert_eq!(closed(&out).last(), Some(&(3, 83, ExposureFlags::NONE)));
+    }
+
+    #[test]
+    fn an_exposure_that_never_ends_is_ended_by_force() {
+        let config = StrobeConfig {
+            width_ns_max: 150_000_000,
+            ..StrobeConfig::default()
+        };
+        let mut strobe = Strobe::new(config);
+        let mut counts = ExposureCounts::default();
+        let mut out = Vec::new();
+        let edge = TriggerEdge {
+            t: Stamp::from_micros(1_000_000),
+            channel: 0,
+            rising: true,
+        };
+        strobe.edge(edge, &mut counts, &mut |s| out.push(s));
+        strobe.advance(Stamp::from_micros(1_150_000), &mut counts, &mut |s| {
+            out.push(s)
+        });
+        assert_eq!(out.len(), 1);
+        strobe.advance(Stamp::from_micros(1_150_001), &mut counts, &mut |s| {
+            out.push(s)
+        });
+        assert_eq!(out[1], Shutter::Discarded(DiscardReason::NeverClosed));
+    }
+}

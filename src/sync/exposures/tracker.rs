@@ -160,7 +160,7 @@ impl ExposureTracker {
             let skipped = image
                 .sequence
                 .saturating_sub(last.sequence.saturating_add(1));
-            self.counts.images_lost += skipped;
+            self.counts.images_lost = self.counts.images_lost.saturating_add(skipped);
         }
         self.last_image = Some(image);
         if self.images.len() == self.config.images_max {
@@ -408,7 +408,7 @@ impl ExposureTracker {
             !flags.intersects(ExposureFlags::OPEN_REPAIRED | ExposureFlags::CLOSE_REPAIRED);
         let off = image
             .exposure_ns
-            .map_or(0, |n| n - candidate.exposure.width_ns());
+            .map_or(0, |n| n.saturating_sub(candidate.exposure.width_ns()));
         if measured && off.saturating_abs() > self.config.width_slack_ns {
             return Place::Nowhere(LeftOutReason::WidthMismatch);
         }
@@ -452,7 +452,7 @@ impl ExposureTracker {
                 exposure.close = exposure.open.offset_nanos(nominal);
                 exposure.flags |= ExposureFlags::WIDTH_NOMINAL;
             } else if exposure.flags.contains(ExposureFlags::OPEN_REPAIRED) {
-                exposure.open = exposure.close.offset_nanos(-nominal);
+                exposure.open = exposure.close.offset_nanos(nominal.saturating_neg());
                 exposure.flags |= ExposureFlags::WIDTH_NOMINAL;
             }
         }
