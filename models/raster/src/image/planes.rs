@@ -183,13 +183,13 @@ impl ImagePlanes {
             match &self.method {
                 Method::Mean { across, down } => {
                     let first = crop.y as usize + v * down;
-                    let scale = f64::from(white) * (across * down) as f64;
                     let rows = (first..first + down).map(row);
+                    let whole = u64::from(white) * (across * down) as u64;
                     mean_row(
                         rows,
                         crop.x as usize,
                         *across,
-                        scale,
+                        whole,
                         sample,
                         [red, green, blue],
                     );
@@ -231,28 +231,57 @@ fn tap(at: f64, start: u32, len: u32) -> Tap {
     }
 }
 
-/// One output row of block means: exact sums, one division.
+/// One output row of block means: exact sums, one division. `whole` is the sum of a white block.
 #[inline(always)]
 fn mean_row<'a>(
     rows: impl Iterator<Item = &'a [u8]> + Clone,
     first: usize,
     across: usize,
-    scale: f64,
-    sample: impl Fn(&[u8], usize) -> u32,
+    whole: u64,
+    sample: impl Fn(&[u8], usize) -> u32 + Copy,
+    planes: [&mut [f32]; 3],
+) {
+    if whole >= 1 << f32::MANTISSA_DIGITS {
+        // At most 8192 x 8192 pixels of 16 bits: 42 bits, exact in f64.
+        let mean = |sum: u64| (sum as f64 / whole as f64) as f32;
+        return sum_blocks(
+            rows,
+            first,
+            across,
+            |row, at| u64::from(sample(row, at)),
+            mean,
+            planes,
+        );
+    }
+    let [red, green, blue] = planes;
+    let sums = [&mut *red, &mut *green, &mut *blue];
+    sum_blocks(rows, first, across, sample, |sum: u32| sum as f32, sums); // exact: below 2^24
+    for value in red.iter_mut().chain(green).chain(blue) {
+        *value /= whole as f32;
+    }
+}
+
+/// Sums over blocks, `store`d into one row of each plane.
+#[inline(always)]
+fn sum_blocks<'a, S: Copy + Default + std::ops::AddAssign>(
+    rows: impl Iterator<Item = &'a [u8]> + Clone,
+    first: usize,
+    across: usize,
+    sample: impl Fn(&[u8], usize) -> S,
+    store: impl Fn(S) -> f32,
     [red, green, blue]: [&mut [f32]; 3],
 ) {
     for (u, ((red, green), blue)) in red.iter_mut().zip(green).zip(blue).enumerate() {
-        // At most 8192 x 8192 pixels of 16 bits: 42 bits.
-        let mut sums = [0u64; 3];
+        let mut sums = [S::default(); 3];
         for row in rows.clone() {
             for x in 0..across {
                 let at = 3 * (first + u * across + x);
                 for (channel, sum) in sums.iter_mut().enumerate() {
-                    *sum += u64::from(sample(row, at + channel));
+                    *sum += sample(row, at + channel);
                 }
             }
         }
-        let [r, g, b] = sums.map(|sum| (sum as f64 / scale) as f32);
+        let [r, g, b] = sums.map(&store);
         (*red, *green, *blue) = (r, g, b);
     }
 }
@@ -389,6 +418,36 @@ mod tests {
     }
 
     proptest! {
+        /// Block means against the plain sum, from copies to blocks too large for 24 bits.
+        #[test]
+        fn whole_ratios_are_means(
+            (across, down) in (1..20u32, 1..20u32), (gw, gh) in (1..5u32, 1..5u32), x in 0..3u32,
+        ) {
+            let sensor = (across * gw + 2, down * gh + 1);
+            let crop = Crop { x, y: 1, width: across * gw, height: down * gh };
+            let map = rescale(sensor, crop, (gw, gh));
+            let stride = sensor.0 as usize * 6 + 5;
+            let data = bytes(stride * sensor.1 as usize);
+            let size = Grid::new(sensor.0, sensor.1);
+            let samples = Samples::U16Le { white: u16::MAX };
+            let view = ImageView { data: &data, size, stride_bytes: stride, samples };
+            let cells = (gw * gh) as usize;
+            let mut out = vec![0.0; 3 * cells];
+            ImagePlanes::new(map).write(&view, &mut out).unwrap();
+            for (index, value) in out.iter().enumerate() {
+                let (channel, cell) = (index / cells, (index % cells) as u32);
+                let mut sum = 0u64;
+                for row in (0..down).map(|y| (1 + cell / gw * down + y) as usize) {
+                    for column in (0..across).map(|dx| (x + cell % gw * across + dx) as usize) {
+                        let at = row * stride + 6 * column + 2 * channel;
+                        sum += u64::from(u16::from_le_bytes([data[at], data[at + 1]]));
+                    }
+                }
+                let expected = sum as f64 / (65_535 * u64::from(across * down)) as f64;
+                prop_assert_eq!(*value, expected as f32);
+            }
+        }
+
         /// Interpolation against the formula in f64, for any ratio either way.
         #[test]
         fn other_ratios_interpolate(

@@ -15,6 +15,7 @@
 mod history;
 mod raster;
 mod retime;
+mod sums;
 mod timing;
 
 pub use history::{EventHistory, PackedEvent};

@@ -1,18 +1,20 @@
 //! The voxel raster: begin at the opening, advance while events come, finish at the close.
 
 use super::history::{EventHistory, PackedEvent};
-use super::retime::Changes;
-use super::timing::{BINS, Exposure, Place, STEPS_MAX, Timing, WHOLE};
+use super::retime::{Changes, EventList};
+use super::sums::Sums;
+use super::timing::{BINS, EXPOSURE_US_MAX, Exposure, STEPS_MAX, Timing, WHOLE};
 use crate::error::check_len;
-use crate::geometry::{Lookup, PixelMap, axes_cell, table_cell};
+use crate::geometry::PixelMap;
 use crate::{Grid, RasterError};
 
-/// Sum at which a cell saturates, in weights.
-const CLAMP: i32 = 10 * WHOLE;
 /// Events one step may hold without any sum leaving 32 bits, were they all in one cell.
 const STEP_EVENTS_MAX: u64 = (i32::MAX / WHOLE) as u64;
-/// Changed events gathered before they are moved.
-const BATCH: usize = 256;
+/// How far off a prediction may be to be met without looking through the history, microseconds:
+/// both edges are read to the microsecond, so even a perfect strobe jitters by one.
+const JITTER_US: u32 = 2;
+/// Most events kept for that, and most events moved; 8 bytes each.
+const MOVES_MAX: usize = 1 << 20;
 
 /// Shape of a voxel grid: `[steps, BINS, height, width]`, row-major.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -87,10 +89,13 @@ pub struct FinishReport {
 #[derive(Debug, Clone, Copy)]
 struct Open {
     predicted: Exposure,
+    timing: Timing,
     /// Sequence number of the first event of interest.
     first: u64,
     /// Sequence number of the first event not yet rastered.
     next: u64,
+    /// Planes that hold sums so far.
+    ready: usize,
     tally: Tally,
     forgotten: u64,
 }
@@ -98,17 +103,24 @@ struct Open {
 /// Turns events into voxel grids in the caller's memory.
 ///
 /// Between [`begin`](Self::begin) and [`finish`](Self::finish) that memory holds integer sums in
-/// place of floats; it must be the same slice throughout, and nobody may look at it.
+/// place of floats; it must be the same slice throughout, and nobody may look at it. What it held
+/// before does not matter: it is zeroed plane by plane as events reach it.
 #[derive(Debug)]
 pub struct VoxelRaster {
     shape: VoxelShape,
     map: PixelMap,
+    /// Microseconds whose place a jittering close would change.
+    unsure: Changes,
+    /// The events at those microseconds.
+    candidates: EventList,
+    /// Microseconds whose place the true close changed, and the events there.
     changes: Changes,
+    moves: EventList,
     open: Option<Open>,
 }
 
 impl VoxelRaster {
-    /// A raster of `steps` slices on the map's grid.
+    /// A raster of `steps` slices on the map's grid. Allocates 17 MiB beside the map.
     ///
     /// # Errors
     /// [`RasterError::Steps`], when `steps` is not in 1..=[`STEPS_MAX`].
@@ -119,14 +131,16 @@ impl VoxelRaster {
                 limit: STEPS_MAX,
             });
         }
-        let shape = VoxelShape {
-            steps,
-            grid: map.grid(),
-        };
         Ok(Self {
-            shape,
+            shape: VoxelShape {
+                steps,
+                grid: map.grid(),
+            },
             map,
+            unsure: Changes::new(),
+            candidates: EventList::new(MOVES_MAX),
             changes: Changes::new(),
+            moves: EventList::new(MOVES_MAX),
             open: None,
         })
     }
@@ -137,47 +151,55 @@ impl VoxelRaster {
         self.shape
     }
 
-    /// Starts an exposure: zeroes `out` and remembers where the prediction says it will close.
+    /// Starts an exposure, and remembers where the prediction says it will close.
     ///
     /// `from` is the sequence number in the history from which on events may belong to it
     /// ([`EventHistory::first_since`] its opening, or the history's `next` at that moment); earlier
     /// ones are never looked at. An exposure begun before and not finished is abandoned.
-    ///
-    /// # Errors
-    /// [`RasterError::Length`], when `out` is not `[steps, BINS, height, width]`.
-    pub fn begin(
-        &mut self,
-        predicted: Exposure,
-        from: u64,
-        out: &mut [f32],
-    ) -> Result<(), RasterError> {
-        self.open = None;
-        check_len("voxel grid", self.shape.len(), out.len())?;
-        out.fill(0.0);
+    pub fn begin(&mut self, predicted: Exposure, from: u64) {
+        let steps = self.shape.steps;
+        let timing = Timing::new(predicted, steps);
+        let longer = timing.with_width((timing.width + JITTER_US).min(EXPOSURE_US_MAX), steps);
+        let shorter = timing.with_width(timing.width.saturating_sub(JITTER_US).max(1), steps);
+        let can_jitter = Changes::hold(&timing, &longer);
+        self.candidates.clear(can_jitter);
+        if can_jitter {
+            self.unsure.clear(longer.width);
+            self.unsure.mark(&timing, &longer, steps);
+            self.unsure.mark(&timing, &shorter, steps);
+        }
         let tally = Tally::default();
+        let (first, next) = (from, from);
         self.open = Some(Open {
             predicted,
-            first: from,
-            next: from,
+            timing,
+            first,
+            next,
+            ready: 0,
             tally,
             forgotten: 0,
         });
-        Ok(())
     }
 
     /// Rasters the events that were added to `history` since the last call.
     ///
     /// # Errors
-    /// [`RasterError::NotOpen`] before [`begin`](Self::begin), [`RasterError::Length`] for another
-    /// `out`.
+    /// [`RasterError::NotOpen`] before [`begin`](Self::begin); [`RasterError::Length`], when `out`
+    /// is not `[steps, BINS, height, width]`.
     pub fn advance(&mut self, history: &EventHistory, out: &mut [f32]) -> Result<(), RasterError> {
         check_len("voxel grid", self.shape.len(), out.len())?;
         let open = self.open.as_mut().ok_or(RasterError::NotOpen)?;
-        let timing = Timing::new(open.predicted, self.shape.steps);
         open.forgotten += history.oldest().saturating_sub(open.next);
+        let mut sums = Sums {
+            out,
+            cells: self.shape.grid.cells(),
+            ready: open.ready,
+        };
         for events in history.slices(open.next, history.next()) {
-            open.tally.add(add(&timing, &self.map, events, out));
+            open.tally.add(sums.add(&open.timing, &self.map, events));
+            self.candidates.gather(&self.unsure, &open.timing, events);
         }
+        open.ready = sums.ready;
         open.next = open.next.max(history.next());
         Ok(())
     }
@@ -200,46 +222,65 @@ impl VoxelRaster {
     ) -> Result<FinishReport, RasterError> {
         self.advance(history, out)?;
         let mut open = self.open.take().ok_or(RasterError::NotOpen)?;
-        let steps = self.shape.steps;
-        let (old, new) = (
-            Timing::new(open.predicted, steps),
-            Timing::new(exposure, steps),
-        );
+        let new = Timing::new(exposure, self.shape.steps);
         let held = history.slices(open.first, open.next);
         let lost = history.oldest().min(open.next).saturating_sub(open.first);
+        let mut sums = Sums {
+            out,
+            cells: self.shape.grid.cells(),
+            ready: open.ready,
+        };
         let retimed = if open.predicted == exposure {
+            sums.finish();
             Retimed::Exact
-        } else if Changes::is_worth_it(&old, &new, steps) {
-            open.forgotten = open.forgotten.max(lost);
-            self.changes.mark(&old, &new, steps);
-            let mut moved = 0;
-            for events in held {
-                moved += shift(
-                    &self.changes,
-                    [&old, &new],
-                    &self.map,
-                    events,
-                    out,
-                    &mut open.tally,
-                );
+        } else if open.predicted.open() == exposure.open() && self.find_moves(&open, &new, held) {
+            if !self.candidates.is_complete() {
+                open.forgotten = lost;
             }
-            Retimed::Delta { moved }
+            let moves = self.moves.events();
+            sums.finish_moved([&open.timing, &new], &self.map, moves, &mut open.tally);
+            Retimed::Delta {
+                moved: moves.len() as u64,
+            }
         } else {
             open.forgotten = lost;
             open.tally = Tally::default();
-            out.fill(0.0);
+            sums.ready = 0;
             for events in held {
-                open.tally.add(add(&new, &self.map, events, out));
+                open.tally.add(sums.add(&new, &self.map, events));
             }
+            sums.finish();
             Retimed::Full
         };
-        check_steps(&new, steps, open.tally.rastered, held)?;
-        finalise(out);
+        check_steps(&new, self.shape.steps, open.tally.rastered, held)?;
         Ok(FinishReport {
             retimed,
             tally: open.tally,
             forgotten: open.forgotten,
         })
+    }
+
+    /// Collects the events whose place differs, in order of time: among the candidates when the
+    /// prediction was off by a jitter, else among all. `false`, when rastering anew is better.
+    fn find_moves(&mut self, open: &Open, new: &Timing, held: [&[PackedEvent]; 2]) -> bool {
+        let (old, steps) = (&open.timing, self.shape.steps);
+        let is_jitter = old.width.abs_diff(new.width) <= JITTER_US && self.candidates.is_complete();
+        if !is_jitter && !Changes::is_worth_it(old, new, steps) {
+            return false;
+        }
+        self.changes.clear(old.width.max(new.width));
+        self.changes.mark(old, new, steps);
+        self.moves.clear(true);
+        if is_jitter {
+            self.moves
+                .gather(&self.changes, old, self.candidates.events());
+        } else {
+            self.candidates.clear(false);
+            held.iter()
+                .for_each(|events| self.moves.gather(&self.changes, old, events));
+        }
+        self.moves.sort(old);
+        self.moves.is_complete()
     }
 
     /// Rasters a whole exposure at once: what training does, and what the incremental way equals.
@@ -255,10 +296,14 @@ impl VoxelRaster {
     ) -> Result<Tally, RasterError> {
         check_len("voxel grid", self.shape.len(), out.len())?;
         let timing = Timing::new(exposure, self.shape.steps);
-        out.fill(0.0);
-        let tally = add(&timing, &self.map, events, out);
+        let mut sums = Sums {
+            out,
+            cells: self.shape.grid.cells(),
+            ready: 0,
+        };
+        let tally = sums.add(&timing, &self.map, events);
+        sums.finish();
         check_steps(&timing, self.shape.steps, tally.rastered, [events, &[]])?;
-        finalise(out);
         Ok(tally)
     }
 }
@@ -269,143 +314,6 @@ impl Tally {
         self.outside_grid += other.outside_grid;
         self.outside_exposure += other.outside_exposure;
     }
-}
-
-/// Adds `weight` to the integer kept in a cell of the output.
-#[inline(always)]
-fn bump(cell: &mut f32, weight: i32) {
-    let sum = cell.to_bits().cast_signed().wrapping_add(weight);
-    *cell = f32::from_bits(sum.cast_unsigned());
-}
-
-/// Adds `sign` times an event at `place` and `cell` to the sums.
-#[inline(always)]
-fn put(out: &mut [f32], cells: usize, place: Place, cell: u32, sign: i32) {
-    let start = place.plane * cells + cell as usize;
-    let pair = &mut out[start..=start + cells];
-    bump(&mut pair[0], sign * (WHOLE - place.later));
-    bump(&mut pair[cells], sign * place.later);
-}
-
-/// Adds all events to the sums.
-fn add(timing: &Timing, map: &PixelMap, events: &[PackedEvent], out: &mut [f32]) -> Tally {
-    let cells = map.grid().cells();
-    match &map.lookup {
-        Lookup::Axes { columns, rows } => {
-            let (columns, rows) = (&columns[..2048], &rows[..2048]);
-            add_with(
-                timing,
-                cells,
-                |x, y| axes_cell(columns, rows, x, y),
-                events,
-                out,
-            )
-        }
-        Lookup::Table {
-            width,
-            cells: table,
-        } => add_with(
-            timing,
-            cells,
-            |x, y| table_cell(*width, table, x, y),
-            events,
-            out,
-        ),
-    }
-}
-
-#[inline(always)]
-fn add_with(
-    timing: &Timing,
-    cells: usize,
-    cell_of: impl Fn(u32, u32) -> u32,
-    events: &[PackedEvent],
-    out: &mut [f32],
-) -> Tally {
-    let (mut rastered, mut outside_grid) = (0, 0);
-    for event in events {
-        let elapsed = timing.elapsed(event.t_us);
-        if elapsed >= timing.width {
-            continue;
-        }
-        let cell = cell_of(event.x(), event.y());
-        if cell as usize >= cells {
-            outside_grid += 1;
-            continue;
-        }
-        put(out, cells, timing.place(elapsed), cell, event.sign());
-        rastered += 1;
-    }
-    let outside_exposure = events.len() as u64 - rastered - outside_grid;
-    Tally {
-        rastered,
-        outside_grid,
-        outside_exposure,
-    }
-}
-
-/// Moves the events whose place differs between `old` and `new`; returns how many.
-fn shift(
-    changes: &Changes,
-    [old, new]: [&Timing; 2],
-    map: &PixelMap,
-    events: &[PackedEvent],
-    out: &mut [f32],
-    tally: &mut Tally,
-) -> u64 {
-    let mut moved = 0;
-    for batch in events.chunks(BATCH) {
-        // Gathers without branching; the moves are few.
-        let mut changed = [PackedEvent::default(); BATCH];
-        let mut count = 0;
-        for event in batch {
-            changed[count % BATCH] = *event;
-            count += changes.at(old.elapsed(event.t_us));
-        }
-        for event in &changed[..count] {
-            moved += u64::from(shift_one([old, new], map, *event, out, tally));
-        }
-    }
-    moved
-}
-
-/// Takes one event out of its old place and puts it into its new one; `false` when it has none.
-fn shift_one(
-    [old, new]: [&Timing; 2],
-    map: &PixelMap,
-    event: PackedEvent,
-    out: &mut [f32],
-    tally: &mut Tally,
-) -> bool {
-    let elapsed = old.elapsed(event.t_us);
-    let (was, is) = (elapsed < old.width, elapsed < new.width);
-    let cells = map.grid().cells();
-    let cell = match &map.lookup {
-        Lookup::Axes { columns, rows } => axes_cell(columns, rows, event.x(), event.y()),
-        Lookup::Table { width, cells } => table_cell(*width, cells, event.x(), event.y()),
-    };
-    let inside = (cell as usize) < cells;
-    if was != is {
-        let count = if inside {
-            &mut tally.rastered
-        } else {
-            &mut tally.outside_grid
-        };
-        let (from, to) = if is {
-            (&mut tally.outside_exposure, count)
-        } else {
-            (count, &mut tally.outside_exposure)
-        };
-        *from -= 1;
-        *to += 1;
-    }
-    if inside && was {
-        put(out, cells, old.place(elapsed), cell, -event.sign());
-    }
-    if inside && is {
-        put(out, cells, new.place(elapsed), cell, event.sign());
-    }
-    inside
 }
 
 /// Makes sure that no sum can have left 32 bits; costs nothing unless millions of events came.
@@ -435,15 +343,5 @@ fn check_steps(
             events: counts[step],
             limit: STEP_EVENTS_MAX,
         }),
-    }
-}
-
-/// Sums of weights -> clamped, scaled floats, in place.
-///
-/// The quotient is rounded once: a clamped sum of 256ths over 2560 is that sum over 10.
-fn finalise(out: &mut [f32]) {
-    for cell in out {
-        let sum = cell.to_bits().cast_signed().clamp(-CLAMP, CLAMP);
-        *cell = sum as f32 / CLAMP as f32;
     }
 }
