@@ -73,50 +73,24 @@ impl RecordingWriter {
         };
         write_meta(dir, &file)?;
         let meta = &file.recording;
-        let table = |path: &str, columns| OutFile::table(dir.join(path), columns);
-        let events = match meta.events {
-            None => None,
-            Some(_) => Some(EventFiles {
-                raw: OutFile::create(dir.join(layout::EVENTS), DATA_BUFFER_LEN)?,
-                transfers: table(layout::EVENT_TRANSFERS, layout::EVENT_TRANSFER_COLUMNS)?,
-                offset: 0,
-            }),
-        };
-        let lidar = match &meta.lidar {
-            None => None,
-            Some(lidar) => {
-                let path = dir.join(layout::LIDAR);
-                let io = |e| WriteError::io(&path, e);
-                let file = File::create_new(&path).map_err(io)?;
-                let buffered = BufWriter::with_capacity(DATA_BUFFER_LEN, file);
-                Some(pcap::Writer::new(buffered, lidar.port).map_err(io)?)
-            }
-        };
-        let images = match meta.camera {
-            None => None,
-            Some(_) => {
-                create_dir(&dir.join(layout::IMAGES))?;
-                Some(table(layout::IMAGE_ROWS, layout::IMAGE_COLUMNS)?)
-            }
-        };
-        let can = match &meta.can {
-            None => None,
-            Some(can) => {
-                let interface =
-                    Interface::new(&can.interface).map_err(|_| WriteError::Undeclared("can"))?;
-                Some((OutFile::create(dir.join(layout::CAN), 64 << 10)?, interface))
-            }
-        };
         Ok(Self {
-            clocks: table(layout::CLOCKS, layout::CLOCK_COLUMNS)?,
+            events: meta.events.as_ref().map(|_| event_files(dir)).transpose()?,
+            lidar: meta
+                .lidar
+                .as_ref()
+                .map(|l| capture(dir, l.port))
+                .transpose()?,
+            images: meta.camera.as_ref().map(|_| image_table(dir)).transpose()?,
+            can: meta
+                .can
+                .as_ref()
+                .map(|c| can_log(dir, &c.interface))
+                .transpose()?,
+            clocks: OutFile::table(dir.join(layout::CLOCKS), layout::CLOCK_COLUMNS)?,
             dir: dir.to_owned(),
             counts: Counts::default(),
             lidar_angles: calibration.lidar_angles.clone(),
             file,
-            events,
-            lidar,
-            images,
-            can,
         })
     }
 
@@ -308,6 +282,32 @@ impl RecordingWriter {
         write_meta(&self.dir, &self.file)?;
         Ok(self.counts)
     }
+}
+
+fn event_files(dir: &Path) -> Result<EventFiles, WriteError> {
+    let transfers = dir.join(layout::EVENT_TRANSFERS);
+    Ok(EventFiles {
+        raw: OutFile::create(dir.join(layout::EVENTS), DATA_BUFFER_LEN)?,
+        transfers: OutFile::table(transfers, layout::EVENT_TRANSFER_COLUMNS)?,
+        offset: 0,
+    })
+}
+
+fn capture(dir: &Path, port: u16) -> Result<pcap::Writer<BufWriter<File>>, WriteError> {
+    let path = dir.join(layout::LIDAR);
+    let io = |e| WriteError::io(&path, e);
+    let file = File::create_new(&path).map_err(io)?;
+    pcap::Writer::new(BufWriter::with_capacity(DATA_BUFFER_LEN, file), port).map_err(io)
+}
+
+fn image_table(dir: &Path) -> Result<OutFile, WriteError> {
+    create_dir(&dir.join(layout::IMAGES))?;
+    OutFile::table(dir.join(layout::IMAGE_ROWS), layout::IMAGE_COLUMNS)
+}
+
+fn can_log(dir: &Path, interface: &str) -> Result<(OutFile, Interface), WriteError> {
+    let interface = Interface::new(interface).map_err(|_| WriteError::Undeclared("can"))?;
+    Ok((OutFile::create(dir.join(layout::CAN), 64 << 10)?, interface))
 }
 
 /// Replaces `meta.json` in one step, so that it is never half there.

@@ -106,7 +106,7 @@ fn arrivals_made_up_from_sensor_time_are_what_each_chunk_reaches() {
     let mut bytes = b"% format EVT3;height=720;width=1280\n% end\n".to_vec();
     let header_len = bytes.len() as u64;
     for k in 0..1024u16 {
-        for word in [0x8000 | k / 100, 0x6000 | k % 100, 0, 0x2005] {
+        for word in [0x8000 | (k / 100), 0x6000 | (k % 100), 0, 0x2005] {
             bytes.extend(word.to_le_bytes());
         }
     }
@@ -119,7 +119,7 @@ fn arrivals_made_up_from_sensor_time_are_what_each_chunk_reaches() {
         let offset = transfer.offset - header_len;
         chunks.push((offset, transfer.bytes.len(), transfer.arrival));
     }
-    let micros = |k: u64| Stamp::from_micros((k / 100) << 12 | k % 100);
+    let micros = |k: u64| Stamp::from_micros(((k / 100) << 12) | (k % 100));
     assert_eq!(chunks[0], (0, 4096, micros(511)));
     assert_eq!(chunks[1], (4096, 4096, micros(1023)));
     assert_eq!((chunks.len(), chunks[2].0, chunks[2].1), (3, 8192, 3));

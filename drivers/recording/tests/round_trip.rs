@@ -243,6 +243,15 @@ fn true_clocks_map_as_the_contract_says() {
 }
 
 #[test]
+fn the_shipped_calibration_loads_from_its_file() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/calibration/default.toml");
+    assert_eq!(
+        Calibration::load(&path).unwrap(),
+        Calibration::default_rig()
+    );
+}
+
+#[test]
 fn any_sensor_may_be_absent() {
     let dir = tempfile::tempdir().unwrap();
     let mut meta = meta();
