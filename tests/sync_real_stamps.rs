@@ -4,6 +4,7 @@
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
+    clippy::print_stdout,
     clippy::unwrap_used,
     reason = "simulated instants are positive and small; a test may stop where it stands"
 )]

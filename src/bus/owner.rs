@@ -125,6 +125,13 @@ impl<S: Service> Ports<S> {
     /// # Errors
     /// When there are none.
     pub fn open(instance: Instance, name: &str, limits: Limits) -> Result<Self, BusError> {
+        if !instance.root().exists() {
+            // Opening a node would create the folder, and nobody would own it.
+            return Err(BusError::NotRunning {
+                instance: instance.name().to_string(),
+                service: BundleHeader::SERVICE,
+            });
+        }
         let node = node::<S>(&instance, name)?;
         let bundle = open::<S, BundleHeader>(&instance, &node, limits.bundle)?;
         let depth = open::<S, DepthHeader>(&instance, &node, limits.depth)?;
@@ -135,6 +142,13 @@ impl<S: Service> Ports<S> {
     #[must_use]
     pub fn instance(&self) -> &Instance {
         &self.instance
+    }
+
+    /// Receivers of bundles there are now, dead ones that nobody has cleared away included.
+    #[must_use]
+    pub fn bundle_receivers(&self) -> usize {
+        use iceoryx2::service::port_factory::PortFactory as _;
+        self.bundle.data.dynamic_config().number_of_subscribers()
     }
 
     /// Sends bundles.

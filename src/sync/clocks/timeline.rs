@@ -196,11 +196,16 @@ impl Timeline {
         if let Some(map) = self.strobe.map().filter(|_| !self.strobe.is_suspect()) {
             return Some((*map, MapSource::Edges));
         }
-        let Fit::Arrivals(fit) = &self.evk4 else {
-            return None;
-        };
-        let realtime = self.host.monotonic_to_realtime()?.inverse();
-        Some((fit.map()?.then(&realtime), MapSource::Arrivals))
+        match &self.evk4 {
+            Fit::Arrivals(fit) => {
+                let monotonic = self.host.monotonic_to_realtime()?.inverse();
+                Some((fit.map()?.then(&monotonic), MapSource::Arrivals))
+            }
+            Fit::Offset(_) => {
+                let monotonic = self.host.monotonic_to_tai()?.inverse();
+                Some((self.evk4.to_tai(None)?.then(&monotonic), MapSource::Offset))
+            }
+        }
     }
 
     /// The event camera's counter onto TAI, and on what evidence: edges once their fit has
@@ -241,5 +246,86 @@ impl Timeline {
             lidar: self.lidar.counts(),
             strobe: self.strobe.counts(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reading(second: u64) -> ClockReading {
+        ClockReading {
+            realtime: Stamp::from_nanos((1_700_000_000 + second) * 1_000_000_000),
+            monotonic: Stamp::from_nanos((50 + second) * 1_000_000_000),
+            tai_offset_ns: 37_000_000_000,
+        }
+    }
+
+    #[test]
+    fn a_clock_that_is_tai_needs_no_arrivals() {
+        let mut timeline = Timeline::new(TimelineConfig {
+            evk4: SensorClock::Offset(1_700_000_037_000_000_000),
+            lidar: SensorClock::Offset(-5),
+            ..TimelineConfig::free_running()
+        });
+        let (map, source) = timeline.evk4_to_tai().unwrap();
+        assert_eq!(source, MapSource::Offset);
+        assert_eq!(
+            map.apply(Stamp::from_micros(3)).as_nanos(),
+            1_700_000_037_000_003_000
+        );
+        let lidar = timeline.lidar_to_tai().unwrap();
+        assert_eq!(lidar.apply(Stamp::from_nanos(105)).as_nanos(), 100);
+        assert!(
+            timeline.evk4_to_monotonic().is_none(),
+            "no clock has been read yet"
+        );
+        timeline.clocks(reading(0));
+        let (map, _) = timeline.evk4_to_monotonic().unwrap();
+        assert_eq!(map.apply(Stamp::from_micros(3)).as_nanos(), 50_000_003_000);
+    }
+
+    #[test]
+    fn tai_is_taken_from_readings_first_and_assumed_only_where_told() {
+        let mut timeline = Timeline::new(TimelineConfig::free_running());
+        assert!(timeline.realtime_to_tai().is_none());
+        timeline.clocks(reading(0));
+        let map = timeline.realtime_to_tai().unwrap();
+        assert_eq!(
+            map.apply(reading(1).realtime).as_nanos(),
+            1_700_000_038_000_000_000
+        );
+        let config = TimelineConfig {
+            tai_offset_ns: Some(5),
+            ..TimelineConfig::free_running()
+        };
+        let assumed = Timeline::new(config).realtime_to_tai().unwrap();
+        assert_eq!(assumed.apply(Stamp::from_nanos(7)).as_nanos(), 12);
+    }
+
+    #[test]
+    fn edges_replace_arrivals_for_images_and_a_new_epoch_takes_them_back() {
+        let mut timeline = Timeline::new(TimelineConfig::free_running());
+        timeline.clocks(reading(0));
+        let host = |ms: u64| Stamp::from_nanos(1_700_000_000_000_000_000 + ms * 1_000_000);
+        for ms in 1..2000 {
+            timeline.evk4_arrival(Stamp::from_micros(ms * 1000), host(ms));
+        }
+        assert_eq!(timeline.evk4_to_monotonic().unwrap().1, MapSource::Arrivals);
+        for ms in (200..2000).step_by(200) {
+            let driver = Stamp::from_nanos(50_000_000_000 + ms * 1_000_000);
+            timeline.strobe_pair(Stamp::from_micros(ms * 1000), driver);
+        }
+        let (map, source) = timeline.evk4_to_monotonic().unwrap();
+        assert_eq!(source, MapSource::Edges);
+        let at = map.apply(Stamp::from_micros(2_000_000));
+        assert!(at.diff_nanos(Stamp::from_nanos(52_000_000_000)).abs() < 1_000);
+        // The counter starts again.
+        for ms in 2000..2020 {
+            timeline.evk4_arrival(Stamp::from_micros((ms - 1999) * 1000), host(ms));
+        }
+        assert_eq!(timeline.evk4_to_monotonic().unwrap().1, MapSource::Arrivals);
+        let counts = timeline.counts();
+        assert_eq!((counts.evk4.backwards, counts.strobe.resets), (1, 1));
     }
 }

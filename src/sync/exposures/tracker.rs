@@ -24,7 +24,9 @@ pub struct TrackerConfig {
     /// How far a driver stamp may lie from its edge under a map from edges, beyond the map's
     /// bound; nanoseconds.
     pub edge_slack_ns: i64,
-    /// The same under a map from arrivals, whose constant delay is not known; nanoseconds.
+    /// The same under a map from arrivals, whose constant delay is not known; nanoseconds. Images
+    /// are withheld while this and the map's bound exceed a quarter of the period, so a fast camera
+    /// needs its transfers' delay calibrated and this set accordingly.
     pub arrival_slack_ns: i64,
     /// How far a measured width may lie from the exposure set, nanoseconds.
     pub width_slack_ns: i64,
@@ -368,7 +370,14 @@ impl ExposureTracker {
             self.candidates[index].exposure.close
         });
         let slack = self.slack_ns(map, at);
-        if self.strobe.period_ns().is_some_and(|p| slack > p / 4) {
+        // Exposures do not overlap: without a period, the width bounds the distance of neighbours.
+        let width = best.map(|(index, _)| self.candidates[index].exposure.width_ns());
+        if self
+            .strobe
+            .period_ns()
+            .or(width)
+            .is_some_and(|spacing| slack > spacing / 4)
+        {
             return Place::Wait; // The map cannot tell neighbours apart; a better one may come.
         }
         match best {
