@@ -303,3 +303,133 @@ fn known_system(fields: &[(String, String)]) -> Option<(Format, Geometry)> {
         _ => None,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<(RawHeader, usize), RawError> {
+        RawHeader::parse(text.as_bytes())
+    }
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        for format in [
+            Format::Evt2,
+            Format::Evt21,
+            Format::Evt21Legacy,
+            Format::Evt3,
+        ] {
+            let mut header = RawHeader::new(format, VGA);
+            header.fields.push(("serial_number".into(), "00 17".into()));
+            header.fields.push(("evt".into(), "9.9".into()));
+            header.fields.push(("note".into(), "two\nlines".into()));
+            let mut bytes = header.to_bytes();
+            let len = bytes.len();
+            bytes.extend_from_slice(b"% not a header line\n");
+            let (read, payload) = RawHeader::parse(&bytes).unwrap();
+            assert_eq!((read.format, read.geometry, payload), (format, VGA, len));
+            assert_eq!(read.field("serial_number"), Some("00 17"));
+            assert_eq!(read.field("note"), Some("two lines"));
+            assert_eq!(read.to_bytes(), bytes[..len]);
+        }
+    }
+
+    #[test]
+    fn an_old_header_ends_at_the_first_line_that_is_not_printable() {
+        let header = b"% evt 2.0\n% system_ID 21\n";
+        for payload in [
+            &b"\x01\x02\n"[..],
+            b"%\x80\x01\n%",
+            b"% no line feed",
+            b"",
+            b"%",
+        ] {
+            let bytes = [header, payload].concat();
+            let (read, offset) = RawHeader::parse(&bytes).unwrap();
+            assert_eq!(offset, header.len(), "{payload:?}");
+            assert_eq!((read.format, read.geometry), (Format::Evt2, VGA));
+        }
+    }
+
+    #[test]
+    fn a_closing_line_settles_the_end_whatever_is_around_it() {
+        let text = "% integrator_name Hochschule Z\u{fc}rich\r\n% format EVT3;width=9;height=7\r\n% end\r\n%a\n";
+        let (read, offset) = parse(text).unwrap();
+        assert_eq!(&text.as_bytes()[offset..], b"%a\n");
+        assert_eq!(
+            read.geometry,
+            Geometry {
+                width: 9,
+                height: 7
+            }
+        );
+        assert_eq!(
+            read.field("integrator_name"),
+            Some("Hochschule Z\u{fc}rich")
+        );
+    }
+
+    #[test]
+    fn format_wins_and_endianness_is_found_wherever_it_is() {
+        let size = "% geometry 320x320\n";
+        for (lines, format) in [
+            ("% evt 2.0\n% format EVT3\n", Format::Evt3),
+            ("% format EVT21;endianness=legacy\n", Format::Evt21Legacy),
+            ("% format EVT21\n% endianness legacy\n", Format::Evt21Legacy),
+            (
+                "% format EVT21;endianness=little\n% system_ID 49\n",
+                Format::Evt21,
+            ),
+            ("% evt 2.1\n% system_ID 49\n", Format::Evt21Legacy),
+            ("% evt 2.1\n% system_ID 55\n", Format::Evt21),
+            ("% evt 2.1\n", Format::Evt21),
+            ("% system_ID 48\n", Format::Evt3),
+        ] {
+            let (read, _) = parse(&format!("{lines}{size}")).unwrap();
+            assert_eq!(read.format, format, "{lines}");
+            assert_eq!(
+                (read.geometry.width, read.geometry.height),
+                (320, 320),
+                "{lines}"
+            );
+        }
+    }
+
+    #[test]
+    fn size_falls_back_on_system_then_name_then_caller() {
+        for (line, size) in [
+            ("% system_ID 49\n", HD),
+            ("% system_ID 40\n", VGA),
+            ("% plugin_name hal_plugin_gen31_fx3\n", VGA),
+            ("% plugin_name hal_plugin_imx636_evk4\n", HD),
+            ("% sensor_generation 4.2\n", HD),
+        ] {
+            let text = format!("% evt 3.0\n{line}");
+            let (read, _) = RawHeader::parse_with(text.as_bytes(), Some(HD)).unwrap();
+            assert_eq!(read.geometry, size, "{line}");
+        }
+        let bare = b"% evt 3.0\n% system_ID 999\n";
+        let (read, _) = RawHeader::parse_with(bare, Some(VGA)).unwrap();
+        assert_eq!(read.geometry, VGA);
+        let error = RawHeader::parse(bare).unwrap_err();
+        assert!(error.to_string().contains("\"999\""), "{error}");
+    }
+
+    #[test]
+    fn bad_headers_say_what_is_wrong() {
+        for (text, part) in [
+            ("", "begins with []"),
+            ("\u{1}abc", "begins with [01, 61"),
+            ("% Date today\n", "system_ID None"),
+            ("% evt 4.0\n", "evt 4.0"),
+            ("% format EVT4;width=1;height=1\n", "EVT4"),
+            ("% format EVT3;width=0;height=720\n", "0x720"),
+            ("% evt 3.0\n% geometry 1280\n", "\"1280\""),
+            ("% evt 3.0\n% geometry 70000x2\n", "70000x2"),
+        ] {
+            let error = parse(text).unwrap_err().to_string();
+            assert!(error.contains(part), "{text:?}: {error}");
+        }
+    }
+}

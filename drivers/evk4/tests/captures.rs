@@ -228,13 +228,16 @@ fn a_file_read_in_chunks_is_the_file_read_whole() {
 }
 
 #[test]
-fn rate_controller_reports_are_read() {
+fn rate_controller_reports_add_up_to_the_events_of_the_recording() {
     for_each_capture(|name, bytes, _| {
         let (header, payload) = RawHeader::parse(bytes).expect("a header");
-        let (decoder, found) = decode(&header, &bytes[payload..], &[usize::MAX]);
+        let (decoder, found) = decode(&header, &bytes[payload..], &[7]);
         let rate = decoder.rate();
         if name == "hd720_trigger2.raw" {
-            eprintln!("{rate:?} {}", found.summary.events);
+            // Reports are per period; nine events came after the last one.
+            assert_eq!((rate.entered, rate.left), (82_460, 82_460), "{name}");
+            assert_eq!(found.summary.events - rate.left, 9, "{name}");
+            assert_eq!(rate.dropped(), 0, "{name}");
         }
     });
 }

@@ -19,6 +19,8 @@ use super::{ErrorCounts, EventSink, Geometry, WordTally};
 ///
 /// HD sensors step back by up to 11 us, once a millisecond.
 const STEP_BACK_US_MAX: u64 = 16;
+/// Nanoseconds per step of `TIME_HIGH`.
+const HIGH_NS: u64 = HIGH_UNIT_US * 1000;
 /// No row address seen; outside every sensor.
 const NO_ROW: u16 = u16::MAX;
 /// No base column seen; outside every sensor.
@@ -87,11 +89,8 @@ impl Evt3Decoder {
             bytes = rest;
             self.word(u16::from_le_bytes([low, *high]), sink);
         }
-        bytes = &bytes[self.run(bytes, sink)..];
         let (words, tail) = bytes.as_chunks::<2>();
-        for &word in words {
-            self.word(u16::from_le_bytes(word), sink);
-        }
+        self.run(words, sink);
         if let [low] = tail {
             self.half = Some(*low);
         }
@@ -182,13 +181,7 @@ impl Evt3Decoder {
                 channel: (word >> 8 & 0xf).to_le_bytes()[0],
                 rising: word & 1 != 0,
             }),
-            OTHERS => self.payload.start(word & PAYLOAD_MASK),
-            CONTINUED_12 => {
-                if let Some((subtype, payload)) = self.payload.take_12(word & PAYLOAD_MASK) {
-                    self.rate.report(subtype, payload);
-                }
-            }
-            CONTINUED_4 => {}
+            OTHERS | CONTINUED_12 | CONTINUED_4 => self.take_payload(word),
             _ => {
                 self.errors.reserved_word += 1;
                 return;
@@ -197,10 +190,22 @@ impl Evt3Decoder {
         self.tally.decoded += 1;
     }
 
+    /// `OTHERS` and the words that continue it.
+    pub(super) fn take_payload(&mut self, word: u16) {
+        if kind(word) == OTHERS {
+            self.payload.start(word & PAYLOAD_MASK);
+        } else if kind(word) == CONTINUED_12
+            && let Some((subtype, payload)) = self.payload.take_12(word & PAYLOAD_MASK)
+        {
+            self.rate.report(subtype, payload);
+        }
+    }
+
     fn take_time_high(&mut self, high: u16) {
         let step = self.time_high.take(u32::from(high));
         if step != Step::Same {
-            self.high_ns = self.time_high.widened() * HIGH_UNIT_US * 1000;
+            let high_ns = self.time_high.widened().saturating_mul(HIGH_NS);
+            self.high_ns = high_ns.min(u64::MAX - HIGH_NS);
             self.state.low = 0;
         }
         if step == Step::Backward {
@@ -220,7 +225,7 @@ impl Evt3Decoder {
     }
 
     /// The time in force, nanoseconds.
-    fn t_ns(&self) -> u64 {
+    pub(super) fn t_ns(&self) -> u64 {
         self.high_ns + u64::from(self.state.low) * 1000
     }
 

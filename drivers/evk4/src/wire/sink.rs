@@ -9,7 +9,7 @@ pub trait EventSink {
     /// Takes one event.
     fn event(&mut self, event: Event);
 
-    /// Takes a run of events, in order; worth overriding when a slice is cheaper than its parts.
+    /// Takes events that are at hand as a slice, in order. Decoders have them one by one.
     #[inline]
     fn events(&mut self, events: &[Event]) {
         for &event in events {
