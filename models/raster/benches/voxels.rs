@@ -1,7 +1,7 @@
 //! What rastering costs on one core, beside a copy of the same bytes in the same run.
 //!
-//! `cargo bench -p noctule-raster`; the fastest of repeated runs, warm memory. The promise: from the
-//! exposure's close to finished voxels takes no longer than copying the bundle they go into.
+//! `cargo bench -p noctule-raster`; the fastest of repeated runs, warm memory. The promise: where the
+//! close was predicted, finishing the voxels takes no longer than copying the bundle they go into.
 #![allow(clippy::print_stdout, reason = "a benchmark prints")]
 #![allow(
     clippy::cast_possible_truncation,

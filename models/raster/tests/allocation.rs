@@ -63,7 +63,7 @@ fn voxels_do_not_allocate_however_the_exposure_ends() {
             (k ^ 1) * 9,
             (k * 7 % 64) as u16,
             (k / 64 % 64) as u16,
-            k % 2 == 0,
+            k.is_multiple_of(2),
         )
     };
     let events: Vec<_> = (0..10_000).map(|k| pack(k).unwrap()).collect();

@@ -239,50 +239,85 @@ fn mean_row<'a>(
     across: usize,
     whole: u64,
     sample: impl Fn(&[u8], usize) -> u32 + Copy,
-    planes: [&mut [f32]; 3],
+    [red, green, blue]: [&mut [f32]; 3],
 ) {
     if whole >= 1 << f32::MANTISSA_DIGITS {
-        // At most 8192 x 8192 pixels of 16 bits: 42 bits, exact in f64.
-        let mean = |sum: u64| (sum as f64 / whole as f64) as f32;
-        return sum_blocks(
-            rows,
-            first,
-            across,
-            |row, at| u64::from(sample(row, at)),
-            mean,
-            planes,
-        );
+        return large_mean_row(rows, first, across, whole, sample, [red, green, blue]);
     }
-    let [red, green, blue] = planes;
-    let sums = [&mut *red, &mut *green, &mut *blue];
-    sum_blocks(rows, first, across, sample, |sum: u32| sum as f32, sums); // exact: below 2^24
+    // Sums stay below 2^24: exact in the planes themselves.
+    for (index, row) in rows.enumerate() {
+        let planes = [&mut *red, &mut *green, &mut *blue];
+        match across {
+            1 => sum_row::<1>(row, first, index == 0, sample, planes),
+            2 => sum_row::<2>(row, first, index == 0, sample, planes),
+            4 => sum_row::<4>(row, first, index == 0, sample, planes),
+            _ => sum_row_of(row, first, across, index == 0, sample, planes),
+        }
+    }
     for value in red.iter_mut().chain(green).chain(blue) {
         *value /= whole as f32;
     }
 }
 
-/// Sums over blocks, `store`d into one row of each plane.
+/// Adds one row of blocks of a width the compiler knows.
 #[inline(always)]
-fn sum_blocks<'a, S: Copy + Default + std::ops::AddAssign>(
-    rows: impl Iterator<Item = &'a [u8]> + Clone,
+fn sum_row<const ACROSS: usize>(
+    row: &[u8],
+    first: usize,
+    is_first: bool,
+    sample: impl Fn(&[u8], usize) -> u32 + Copy,
+    planes: [&mut [f32]; 3],
+) {
+    sum_row_of(row, first, ACROSS, is_first, sample, planes);
+}
+
+/// Adds one row of blocks to one row of each plane; sets it, if it is the first.
+#[inline(always)]
+fn sum_row_of(
+    row: &[u8],
     first: usize,
     across: usize,
-    sample: impl Fn(&[u8], usize) -> S,
-    store: impl Fn(S) -> f32,
+    is_first: bool,
+    sample: impl Fn(&[u8], usize) -> u32 + Copy,
     [red, green, blue]: [&mut [f32]; 3],
 ) {
     for (u, ((red, green), blue)) in red.iter_mut().zip(green).zip(blue).enumerate() {
-        let mut sums = [S::default(); 3];
-        for row in rows.clone() {
-            for x in 0..across {
-                let at = 3 * (first + u * across + x);
-                for (channel, sum) in sums.iter_mut().enumerate() {
-                    *sum += sample(row, at + channel);
-                }
+        let mut sums = [0u32; 3];
+        for x in 0..across {
+            let at = 3 * (first + u * across + x);
+            for (channel, sum) in sums.iter_mut().enumerate() {
+                *sum += sample(row, at + channel);
             }
         }
-        let [r, g, b] = sums.map(&store);
-        (*red, *green, *blue) = (r, g, b);
+        let [r, g, b] = sums.map(|sum| sum as f32);
+        if is_first {
+            (*red, *green, *blue) = (r, g, b);
+        } else {
+            (*red, *green, *blue) = (*red + r, *green + g, *blue + b);
+        }
+    }
+}
+
+/// Means of blocks whose sums do not fit 24 bits: at most 8192 x 8192 pixels of 16 bits, 42 bits.
+fn large_mean_row<'a>(
+    rows: impl Iterator<Item = &'a [u8]> + Clone,
+    first: usize,
+    across: usize,
+    whole: u64,
+    sample: impl Fn(&[u8], usize) -> u32,
+    planes: [&mut [f32]; 3],
+) {
+    for (channel, plane) in planes.into_iter().enumerate() {
+        for (u, value) in plane.iter_mut().enumerate() {
+            let start = first + u * across;
+            let row_sum = |row: &[u8]| {
+                (start..start + across)
+                    .map(|x| u64::from(sample(row, 3 * x + channel)))
+                    .sum::<u64>()
+            };
+            let sum: u64 = rows.clone().map(row_sum).sum();
+            *value = (sum as f64 / whole as f64) as f32; // both exact in f64
+        }
     }
 }
 
