@@ -13,7 +13,7 @@ pub const ELECTRONS_PER_SECOND: f32 = 25_000.0;
 /// Read noise, electrons.
 const READ_NOISE: f64 = 2.5;
 /// Electrons a pixel holds.
-const FULL_WELL: f32 = 10_000.0;
+pub(crate) const FULL_WELL: f32 = 10_000.0;
 /// White is never below this many electrons.
 const WHITE_FLOOR: f32 = 150.0;
 

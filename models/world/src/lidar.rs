@@ -1,12 +1,14 @@
 //! The PandarQT64 of the rig: 64 lasers fired one after another, 600 columns a turn, into the
 //! moving world.
 
+use std::sync::LazyLock;
+
+use noctule_hesai::{Correction, FireTimes, Model, Qt64Echoes};
+use noctule_recording::Pose as Extrinsics;
 use noctule_sensor::{Lidar, Return, Stamp};
 use rayon::prelude::*;
 
 use crate::chance::{Dice, Purpose};
-use crate::rig::Mounting;
-use crate::ring_table::RINGS;
 use crate::road::Pose;
 use crate::scene::Scene;
 use crate::snapshot::{GROUND, Horizon, Placed, Placement, Snapshot};
@@ -40,6 +42,28 @@ const HALF_WIDTH: f64 = 0.06;
 const SPOT_RAD: f64 = 0.0035;
 /// Share of firings whose spot is examined for a second surface.
 const SPOT_SHARE: f64 = 0.15;
+
+/// Angles and firing time of one laser.
+struct Ring {
+    elevation_rad: f64,
+    azimuth_rad: f64,
+    azimuth_cdeg: i32,
+    fire_ns: u64,
+}
+
+/// The vendor's nominal tables.
+static RINGS: LazyLock<Vec<Ring>> = LazyLock::new(|| {
+    let angles = Correction::nominal(Model::Qt64);
+    let times = FireTimes::nominal(Model::Qt64);
+    let rows = angles.lasers().iter().zip(times.channel_ns());
+    rows.map(|(laser, &ns)| Ring {
+        elevation_rad: laser.elevation_deg.to_radians(),
+        azimuth_rad: laser.azimuth_deg.to_radians(),
+        azimuth_cdeg: (laser.azimuth_deg * 100.0).round() as i32,
+        fire_ns: u64::from(ns.unsigned_abs()),
+    })
+    .collect()
+});
 
 /// One echo in wire units.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -85,7 +109,7 @@ pub fn fire_ns(index: u64, channel: usize) -> u64 {
     packet_start_ns(index)
         + PACKET_OFFSET_NS
         + (index % FIRINGS_PER_PACKET) * FIRING_NS
-        + u64::from(RINGS[channel].2)
+        + RINGS[channel].fire_ns
 }
 
 /// The first column whose packet starts at or after `ns` on that clock.
@@ -115,16 +139,16 @@ pub fn sees_camera_view(index: u64) -> bool {
 #[derive(Debug, Clone)]
 pub struct Scanner {
     seed: u64,
-    mounting: Mounting,
+    mounting: Extrinsics,
 }
 
 impl Scanner {
-    /// The default rig's LiDAR with the noise of `seed`.
+    /// A LiDAR mounted at `camera_from_lidar`, with the noise of `seed`.
     #[must_use]
-    pub fn new(seed: u64) -> Self {
+    pub fn new(seed: u64, camera_from_lidar: Extrinsics) -> Self {
         Self {
             seed,
-            mounting: Mounting::camera_from_lidar(),
+            mounting: camera_from_lidar,
         }
     }
 
@@ -190,7 +214,7 @@ impl Scanner {
     /// The objects a column's beams can touch.
     fn in_view(&self, snapshot: &Snapshot, azimuth_cdeg: u16) -> Vec<Placed> {
         let azimuth = (f64::from(azimuth_cdeg) * 0.01).to_radians();
-        let ahead = self.mounting.rotate([azimuth.sin(), azimuth.cos(), 0.0]);
+        let ahead = rotate(&self.mounting, [azimuth.sin(), azimuth.cos(), 0.0]);
         let (sin, cos) = (ahead[0] as f32, ahead[2] as f32);
         // Channel offsets reach 8.8 degrees; the rest is for the mounting and the motion.
         let spread = 11.0_f32.to_radians();
@@ -240,11 +264,11 @@ struct Beam<'a> {
 }
 
 impl Beam<'_> {
-    fn cast(&self, mounting: &Mounting, direction: [f64; 3]) -> Option<(f64, u16)> {
+    fn cast(&self, mounting: &Extrinsics, direction: [f64; 3]) -> Option<(f64, u16)> {
         let observer = self.snapshot.observer;
         let turn = self.pose.heading_rad - observer.heading_rad;
         let (sin, cos) = turn.sin_cos();
-        let d = mounting.rotate(direction);
+        let d = rotate(mounting, direction);
         let o = mounting.translation_m;
         let (x, z) = self.pose.world(o[0], o[2]);
         let (x, z) = observer.local(x, z);
@@ -257,11 +281,17 @@ impl Beam<'_> {
     }
 }
 
+/// A direction in the LiDAR's frame, in the camera's.
+fn rotate(mounting: &Extrinsics, v: [f64; 3]) -> [f64; 3] {
+    let r = &mounting.rotation;
+    r.map(|row| row[0] * v[0] + row[1] * v[1] + row[2] * v[2])
+}
+
 /// Unit vector of a laser in the LiDAR's frame: nominal angles, as a decoder applies them.
 fn direction(azimuth_cdeg: u16, channel: usize, aside_rad: f64) -> [f64; 3] {
-    let (elevation, offset, _) = RINGS[channel];
-    let azimuth = (f64::from(azimuth_cdeg) * 0.01 + offset).to_radians() + aside_rad;
-    let elevation = elevation.to_radians();
+    let ring = &RINGS[channel];
+    let azimuth = (f64::from(azimuth_cdeg) * 0.01).to_radians() + ring.azimuth_rad + aside_rad;
+    let elevation = ring.elevation_rad;
     [
         elevation.cos() * azimuth.sin(),
         elevation.cos() * azimuth.cos(),
@@ -270,6 +300,15 @@ fn direction(azimuth_cdeg: u16, channel: usize, aside_rad: f64) -> [f64; 3] {
 }
 
 impl Column {
+    /// First and last echoes as the packet encoder takes them.
+    #[must_use]
+    pub fn to_wire(&self) -> [Qt64Echoes; 2] {
+        [&self.first, &self.last].map(|echoes| Qt64Echoes {
+            distance: echoes.map(|echo| echo.distance),
+            intensity: echoes.map(|echo| echo.reflectivity),
+        })
+    }
+
     /// Appends the column's returns as a decoder gives them: equal dual returns once, times on
     /// the packet clock shifted by `shift_ns`.
     pub fn append_returns(&self, shift_ns: u64, out: &mut Vec<Return>) {
@@ -286,13 +325,13 @@ impl Column {
 
     fn to_return(&self, channel: usize, block: u8, echo: Echo, shift_ns: u64) -> Return {
         let [x, y, z] = direction(self.azimuth_cdeg, channel, 0.0).map(|u| u * echo.distance_m());
-        let offset_cdeg = (RINGS[channel].1 * 100.0).round() as i32;
         Return {
             t: Stamp::<Lidar>::from_nanos(fire_ns(self.index, channel) + shift_ns),
             x_m: x as f32,
             y_m: y as f32,
             z_m: z as f32,
-            azimuth_cdeg: (i32::from(self.azimuth_cdeg) + offset_cdeg).rem_euclid(36_000) as u16,
+            azimuth_cdeg: (i32::from(self.azimuth_cdeg) + RINGS[channel].azimuth_cdeg)
+                .rem_euclid(36_000) as u16,
             channel: channel as u8,
             intensity: echo.reflectivity,
             block,
@@ -303,6 +342,11 @@ impl Column {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use noctule_recording::Calibration;
+
+    fn scanner(seed: u64) -> Scanner {
+        Scanner::new(seed, Calibration::default_rig().camera_from_lidar)
+    }
 
     fn seconds(ns: u64) -> f64 {
         ns as f64 * 1e-9
@@ -326,8 +370,8 @@ mod tests {
     fn ground_returns_lie_on_the_ground() {
         let scene = Scene::new(4, 1.0, true);
         let indices: Vec<u64> = (3000..3600).collect();
-        let columns = Scanner::new(4).scan(&scene, &indices, seconds);
-        let mounting = Mounting::camera_from_lidar();
+        let columns = scanner(4).scan(&scene, &indices, seconds);
+        let mounting = Calibration::default_rig().camera_from_lidar;
         let mut returns = Vec::new();
         columns
             .iter()
@@ -345,7 +389,7 @@ mod tests {
     #[test]
     fn culling_loses_no_hit() {
         let scene = Scene::new(8, 1.0, true);
-        let scanner = Scanner::new(8);
+        let scanner = scanner(8);
         for index in (0..600).step_by(37) {
             let snapshot = Snapshot::new(&scene, 0.5, Horizon::LIDAR);
             let azimuth = azimuth_cdeg(index);
@@ -371,7 +415,7 @@ mod tests {
     fn dual_returns_are_mostly_equal_and_never_out_of_order() {
         let scene = Scene::new(5, 1.0, true);
         let indices: Vec<u64> = (0..600).collect();
-        let columns = Scanner::new(5).scan(&scene, &indices, seconds);
+        let columns = scanner(5).scan(&scene, &indices, seconds);
         let pairs: Vec<(Echo, Echo)> = columns
             .iter()
             .flat_map(|c| c.first.into_iter().zip(c.last))

@@ -1,6 +1,8 @@
 //! One training or evaluation sample: everything the sensors saw of one exposure, and the truth.
 
-use noctule_sensor::{Event, Lidar, Motion, Return, Stamp};
+use noctule_raster::RasterError;
+use noctule_recording::Calibration;
+use noctule_sensor::{Event, Lidar, Motion, Return, Stamp, Tai};
 
 use crate::camera::{Camera, Light};
 use crate::events::{EventSimulator, PixelModel};
@@ -10,7 +12,7 @@ use crate::render::{Frame, render};
 use crate::scene::Scene;
 use crate::shutter::{Opening, STEPS, Shutter, Tier, sub_frames};
 use crate::snapshot::{Horizon, Snapshot};
-use crate::truth;
+use crate::{sparse, truth};
 
 /// Sub-frames before the exposure that bring the event pixels into their state.
 pub(crate) const WARM_UP: usize = 8;
@@ -44,6 +46,9 @@ pub struct Sample {
     /// Every firing of the LiDAR over that time: when, and its raw azimuth in hundredths of a
     /// degree.
     pub firings: Vec<(Stamp<Lidar>, u16)>,
+    /// The LiDAR's depth at the step centres, `[T, H, W]`, metres; 0 where there is none. Drawn
+    /// by the vehicle's own code from `returns`, `firings` and `motion`.
+    pub sparse: Vec<f32>,
     /// Speed and yaw rate at 100 Hz over that time, noise-free.
     pub motion: Vec<Motion>,
     /// Depth at the step centres, `[T, H, W]`, metres along the optical axis; 0 is sky.
@@ -89,7 +94,10 @@ impl Sample {
         let electrons = Camera::expose(&film.mean, size, opening.seconds());
         let white_electrons = camera.white(&electrons);
         let truth = Truth::of_steps(&scene, &opening, &optics, &film.steps, white_electrons);
-        let (columns, firings) = listen(seed, &scene, &opening);
+        let (returns, firings) = listen(seed, &scene, &opening);
+        let motion = motion(&scene, &opening);
+        let sparse = sparse_depth(&optics, &opening, &returns, &firings, &motion)
+            .expect("the default rig's beams meet the image and its motion is known throughout");
         Self {
             size,
             opening,
@@ -98,9 +106,10 @@ impl Sample {
             white_electrons,
             median_electrons: median(&electrons),
             events: film.events,
-            returns: columns,
+            returns,
             firings,
-            motion: motion(&scene, &opening),
+            sparse,
+            motion,
             depth: truth.depth,
             sharp: truth.sharp,
             flow: truth.flow,
@@ -240,7 +249,9 @@ fn listen(seed: u64, scene: &Scene, opening: &Opening) -> (Vec<Return>, Vec<Firi
         .into_iter()
         .filter(|&i| lidar::sees_camera_view(i))
         .collect();
-    let columns = Scanner::new(seed).scan(scene, &seen, |ns| ns as f64 * 1e-9);
+    let columns =
+        Scanner::new(seed, Calibration::default_rig().camera_from_lidar)
+            .scan(scene, &seen, |ns| ns as f64 * 1e-9);
     let mut returns = Vec::new();
     columns
         .iter()
@@ -264,4 +275,35 @@ fn motion(scene: &Scene, opening: &Opening) -> Vec<Motion> {
             }
         })
         .collect()
+}
+
+/// Sparse depth at the step centres, `[T, H, W]`.
+fn sparse_depth(
+    optics: &Optics,
+    opening: &Opening,
+    returns: &[Return],
+    firings: &[Firing],
+    motion: &[Motion],
+) -> Result<Vec<f32>, RasterError> {
+    let mut raster = sparse::drawer(&Calibration::default_rig(), optics)?;
+    let true_time = |ns: u64| Stamp::<Tai>::from_nanos(ns);
+    for sample in motion {
+        raster.push_motion(
+            true_time(sample.t.as_nanos()),
+            sample.speed_mps,
+            sample.yaw_rate_rps,
+        )?;
+    }
+    let mut rest = returns;
+    for (index, &(at, azimuth_cdeg)) in firings.iter().enumerate() {
+        raster.note_block(true_time(at.as_nanos()), u32::from(azimuth_cdeg));
+        let end = firings.get(index + 1).map_or(Stamp::MAX, |next| next.0);
+        let (now, later) = rest.split_at(rest.partition_point(|echo| echo.t < end));
+        for echo in now {
+            raster.push_return(true_time(echo.t.as_nanos()), echo);
+        }
+        rest = later;
+    }
+    let centre = |k: usize| true_time((opening.step_centre(k) * 1e9).round() as u64);
+    sparse::draw(&mut raster, (0..STEPS).map(centre))
 }

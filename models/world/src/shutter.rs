@@ -151,8 +151,9 @@ impl Shutter {
     }
 }
 
-/// Largest motion between two rendered instants, pixels.
-const MOTION_PX: f64 = 2.0;
+/// Largest motion between two rendered instants as a share of the image's width: 2 pixels of the
+/// network's 256.
+const MOTION_SHARE: f64 = 2.0 / 256.0;
 /// Sub-frames of an exposure: a multiple of the steps by odd numbers between these, so that the
 /// middle sub-frame of each step is the step's centre.
 const PER_STEP: [usize; 2] = [3, 17];
@@ -169,18 +170,19 @@ fn pixel_rate(scene: &Scene, t: f64, optics: &Optics) -> f64 {
     ground.max(movers) + yaw_rate.abs() * focal
 }
 
-/// Sub-frames for an exposure so that motion between them stays near 2 pixels.
+/// Sub-frames for an exposure so that motion between them stays near 2 pixels of the
+/// network's grid.
 #[must_use]
 pub(crate) fn sub_frames(scene: &Scene, opening: &Opening, optics: &Optics) -> usize {
     let motion = pixel_rate(scene, opening.at(0.5), optics) * opening.seconds();
-    let per_step = (motion / MOTION_PX / STEPS as f64).ceil() as usize;
+    let per_step = (motion / (MOTION_SHARE * optics.size as f64) / STEPS as f64).ceil() as usize;
     STEPS * (per_step | 1).clamp(PER_STEP[0], PER_STEP[1])
 }
 
 /// Time between rendered instants while no shutter is open, seconds.
 #[must_use]
 pub(crate) fn idle_step_s(scene: &Scene, t: f64, optics: &Optics) -> f64 {
-    (MOTION_PX / pixel_rate(scene, t, optics)).clamp(0.002, 0.008)
+    (MOTION_SHARE * optics.size as f64 / pixel_rate(scene, t, optics)).clamp(0.002, 0.008)
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The world frozen at one instant, as seen from one pose: every object near enough, in that
 //! pose's frame (x right, y down, z ahead), and the cast of a single ray into it.
 
-use crate::object::{CAMERA_HEIGHT_M, Glow, Shape};
+use crate::object::{CAMERA_HEIGHT_M, Shape};
 use crate::road::Pose;
 use crate::scene::Scene;
 
@@ -331,11 +331,5 @@ impl Scene {
 
     pub(crate) fn object(&self, id: u16) -> Option<&crate::object::Object> {
         self.objects.get(usize::from(id.checked_sub(FIRST_OBJECT)?))
-    }
-
-    /// Whether the object gives off light of the given kind.
-    pub(crate) fn glow(&self, id: u16) -> Glow {
-        self.object(id)
-            .map_or(Glow::Dark, |object| object.material.glow)
     }
 }
