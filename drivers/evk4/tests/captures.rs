@@ -30,7 +30,7 @@ impl noctule_evk4::EventSink for Found {
 fn events_dir() -> Option<PathBuf> {
     let Some(data) = std::env::var_os("NOCTULE_DATA") else {
         eprintln!("SKIPPED: NOCTULE_DATA is not set, so no real recording is decoded here;");
-        eprintln!("the generated streams of tests/streams.rs are all that holds the decoders");
+        eprintln!("the generated streams of tests/streams are all that holds the decoders");
         return None;
     };
     Some(PathBuf::from(data).join("events"))

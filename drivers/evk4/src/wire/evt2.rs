@@ -6,8 +6,9 @@ use super::carry::Carry;
 use super::time_high::{Step, TimeHigh};
 use super::{ErrorCounts, EventSink, Geometry, WordTally};
 
-/// Word types, bits 31..28, and field positions (EVT 2.0 format page).
-mod field {
+/// Word types, bits 31..28, and field positions (EVT 2.0 format page; the upper half of an
+/// EVT 2.1 word is the same).
+pub(super) mod field {
     pub const CD_OFF: u32 = 0x0;
     pub const CD_ON: u32 = 0x1;
     pub const TIME_HIGH: u32 = 0x8;

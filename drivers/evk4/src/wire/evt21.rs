@@ -1,26 +1,13 @@
 //! EVT 2.1: 64-bit words, each up to 32 events of one row, polarity and microsecond.
+//!
+//! The upper half of a word is laid out as an EVT 2.0 word; the lower half is the mask of pixels.
 
 use noctule_sensor::{Event, Evk4, Stamp, TriggerEdge};
 
 use super::carry::Carry;
-use super::evt2::{HIGH_BITS, HIGH_UNIT_US, eleven_bits};
+use super::evt2::{HIGH_BITS, HIGH_UNIT_US, eleven_bits, field};
 use super::time_high::{Step, TimeHigh};
 use super::{ErrorCounts, EventSink, Geometry, WordTally};
-
-/// Word types and field positions, of the upper 32 bits (EVT 2.1 format page).
-mod field {
-    pub const CD_OFF: u32 = 0x0;
-    pub const CD_ON: u32 = 0x1;
-    pub const TIME_HIGH: u32 = 0x8;
-    pub const EXT_TRIGGER: u32 = 0xA;
-    pub const OTHERS: u32 = 0xE;
-    pub const CONTINUED: u32 = 0xF;
-    pub const KIND_SHIFT: u32 = 28;
-    pub const TIME_HIGH_MASK: u32 = (1 << 28) - 1;
-    pub const T_SHIFT: u32 = 22;
-    pub const X_SHIFT: u32 = 11;
-    pub const CHANNEL_SHIFT: u32 = 8;
-}
 
 /// Which half of a word comes first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
