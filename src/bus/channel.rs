@@ -3,7 +3,7 @@
 use std::cell::Cell;
 use std::time::Duration;
 
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -211,10 +211,11 @@ impl<S: Service, H: Header> Receiver<S, H> {
     /// # Errors
     /// When the transport fails.
     pub fn wait(&self, limit: Duration) -> Result<(), BusError> {
-        self.listener
-            .timed_wait(|_| {}, limit)
-            .map(drop)
-            .map_err(|e| BusError::transport("waiting for a sample")(&e))
+        match self.listener.timed_wait(|_| {}, limit) {
+            // A signal is a reason to look up, not a failure: its handler has set a flag.
+            Ok(_) | Err(ListenerWaitError::InterruptSignal) => Ok(()),
+            Err(error) => Err(BusError::transport("waiting for a sample")(&error)),
+        }
     }
 
     fn count(&self, frame: u64) {

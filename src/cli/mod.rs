@@ -5,10 +5,10 @@
 
 mod check;
 mod demo;
-mod export;
+// mod export;
 mod host;
 mod infer;
-mod inspect;
+// mod inspect;
 mod progress;
 mod replay;
 mod weights;
@@ -44,10 +44,10 @@ enum Command {
     Infer(infer::Arguments),
     /// Renders a recording of a synthetic night drive, with exact truth
     World(world::Arguments),
-    /// Says what is in RAW files, packet captures and recordings
-    Inspect(inspect::Arguments),
-    /// Converts a file to formats other programs read
-    Export(export::Arguments),
+    // /// Says what is in RAW files, packet captures and recordings
+    // Inspect(inspect::Arguments),
+    // /// Converts a file to formats other programs read
+    // Export(export::Arguments),
     /// Checks a configuration file
     Check(check::Arguments),
     /// Describes the networks, or compares one with reference outputs
@@ -81,8 +81,8 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Command::Host(a) => host::run(&a),
         Command::Infer(a) => infer::run(&a),
         Command::World(a) => world::run(&a),
-        Command::Inspect(a) => inspect::run(&a),
-        Command::Export(a) => export::run(&a),
+        // Command::Inspect(a) => inspect::run(&a),
+        // Command::Export(a) => export::run(&a),
         Command::Check(a) => check::run(&a),
         Command::Weights(a) => weights::run(&a),
     };

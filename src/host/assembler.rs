@@ -159,16 +159,19 @@ impl<O: Outlet> Assembler<O> {
         }
         self.history.extend(&block.events[done..]);
         self.advance_voxels();
-        if let Some(watermark) = block.watermark {
-            self.advance(watermark, block.arrival);
+        // Only where a transfer ends do its newest word and its arrival belong together; and only
+        // there may time move on, or results would depend on how the bytes were cut.
+        if let (true, Some(newest)) = (block.ends_transfer, block.watermark) {
+            match self.timeline.evk4_arrival(newest, block.arrival) {
+                Observation::Used => self.advance(newest, block.arrival),
+                Observation::NewEpoch(_) => {
+                    self.evk4_restarted(block.arrival);
+                    self.advance(newest, block.arrival);
+                }
+                Observation::Late | Observation::Suspect => {}
+            }
         }
-        self.decide()?;
-        if let (true, Some(newest)) = (block.ends_transfer, block.watermark)
-            && let Observation::NewEpoch(_) = self.timeline.evk4_arrival(newest, block.arrival)
-        {
-            self.evk4_restarted(block.arrival)?;
-        }
-        Ok(())
+        self.decide()
     }
 
     fn advance(&mut self, watermark: Stamp<Evk4>, now: Stamp<Realtime>) {
@@ -188,14 +191,13 @@ impl<O: Outlet> Assembler<O> {
         self.closer.events_passed(watermark, now, &mut |d| self.decided.push(d));
     }
 
-    fn evk4_restarted(&mut self, now: Stamp<Realtime>) -> Result<(), BusError> {
+    fn evk4_restarted(&mut self, now: Stamp<Realtime>) {
         self.events_passed = None;
         if let Exposures::Strobe(tracker) = &mut self.exposures {
             tracker.clock_changed(&mut |event| self.said.push(event));
         }
         self.hear(now);
         self.closer.restarted(Stream::Events, now, &mut |d| self.decided.push(d));
-        self.decide()
     }
 
     /// Takes the returns of a packet.
@@ -390,16 +392,16 @@ impl<O: Outlet> Assembler<O> {
             self.bundles.without_memory += 1;
             return;
         }
-        let Some(mut slot) = self.outlet.lend() else {
+        let Some(slot) = self.outlet.lend() else {
             self.bundles.without_memory += 1;
             return;
         };
         let close = close_predicted.unwrap_or_else(|| open.offset_nanos(FIRST_WIDTH_NS));
-        if let (Some(voxels), Ok(predicted), Some(planes)) =
-            (&mut self.voxels, RasterExposure::new(open, close), slot.planes(&self.layout))
+        if let (Some(voxels), Ok(predicted)) =
+            (&mut self.voxels, RasterExposure::new(open, close))
         {
-            let from = first_event(&self.history, open);
-            self.rastering = voxels.begin(predicted, from, planes.voxels).ok().map(|()| id);
+            voxels.begin(predicted, first_event(&self.history, open));
+            self.rastering = Some(id);
         }
         self.bay.add(id, slot, open);
     }
@@ -723,8 +725,8 @@ fn finish_voxels<L: Slot>(
         berth.voxels = Some((berth.open, close));
         return;
     };
-    if !was_open && voxels.begin(exposure, first_event(history, berth.open), out).is_err() {
-        return;
+    if !was_open {
+        voxels.begin(exposure, first_event(history, berth.open));
     }
     match voxels.finish(exposure, history, out) {
         Ok(done) => {
