@@ -79,12 +79,15 @@ const fn days_in_month(year: u64, month: u64) -> u64 {
     }
 }
 
+/// Days of a common year before each month.
+const MONTH_STARTS: [u64; 12] = [0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334];
+
 /// Gregorian, for years from 1970 on.
 fn days_since_1970(year: u64, month: u64, day: u64) -> u64 {
     let leaps_before = |y: u64| (y - 1) / 4 - (y - 1) / 100 + (y - 1) / 400;
     let years = (year - 1970) * 365 + leaps_before(year) - leaps_before(1970);
-    let months: u64 = (1..month).map(|m| days_in_month(year, m)).sum();
-    years + months + day - 1
+    let leap_day = u64::from(month > 2 && is_leap(year));
+    years + MONTH_STARTS[usize::try_from(month - 1).unwrap_or(0)] + leap_day + day - 1
 }
 
 #[cfg(test)]

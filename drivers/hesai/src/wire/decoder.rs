@@ -1,10 +1,11 @@
 //! From packets to returns: order, clock and sweeps first, then the arithmetic.
 
 use noctule_sensor::{Lidar, Return, Stamp};
+use pulp::Arch;
 use thiserror::Error;
 
-use super::firing::{Block, Job};
-use super::geometry::Geometry;
+use super::firing::{Block, Job, Scratch};
+use super::geometry::{Circle, Geometry};
 use super::stream::{Arrival, Observed, Stream};
 use super::sweep::Sweeps;
 use super::{Correction, Counts, FireTimes, Model, Packet, PacketError, ReturnMode};
@@ -19,7 +20,8 @@ pub trait ReturnSink {
 
     /// Takes one firing whole: its `R` blocks, one per echo.
     ///
-    /// A sink that works on vectors takes [`Block`]s apart by itself. Left alone, every return
+    /// A sink that works on vectors takes [`Block`]s apart by itself; `#[inline(always)]` then has
+    /// its loops compiled for the vectors of the machine it runs on. Left alone, every return
     /// goes to [`on_return`](Self::on_return), channel by channel.
     #[inline]
     fn on_firing<const R: usize>(&mut self, blocks: &[Block<'_>; R]) {
@@ -143,6 +145,9 @@ pub struct PacketInfo {
 pub struct Decoder {
     options: Options,
     geometry: Box<Geometry>,
+    circle: Box<Circle>,
+    scratch: Box<Scratch>,
+    arch: Arch,
     /// Speed the geometry is turned on for.
     turning_rpm: u16,
     stream: Stream,
@@ -176,6 +181,9 @@ impl Decoder {
         }
         Ok(Self {
             geometry: Box::new(geometry(&options, 0)),
+            circle: Box::new(Circle::new()),
+            scratch: Box::new(Scratch::new()),
+            arch: Arch::new(),
             turning_rpm: 0,
             options,
             stream: Stream::new(),
@@ -325,17 +333,18 @@ impl Decoder {
             let t = packet
                 .time_ns()
                 .wrapping_add_signed(self.block_ns(packet, block));
-            let (geometry, sweeps, options) = (&*self.geometry, &self.sweeps, &self.options);
             let job = Job {
                 packet,
                 block,
                 t_ns: t,
                 angle,
-                geometry,
-                sweeps,
-                options,
+                geometry: &self.geometry,
+                circle: &self.circle,
+                sweeps: &self.sweeps,
+                options: &self.options,
+                arch: self.arch,
             };
-            let (found, unique) = job.run(sink);
+            let (found, unique) = job.run(&mut self.scratch, sink);
             info.returns += found;
             info.points += unique;
         }

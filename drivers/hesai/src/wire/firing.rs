@@ -1,9 +1,10 @@
 //! The arithmetic of one firing: all channels, all echoes, in lanes the compiler vectorises.
 
 use noctule_sensor::{Lidar, Return, Stamp};
+use pulp::{Arch, Simd, WithSimd};
 
 use super::decoder::{Options, ReturnSink, Returns};
-use super::geometry::{self, Geometry};
+use super::geometry::{Circle, Geometry, MAX_CHANNELS};
 use super::sweep::{Sweeps, TURN};
 use super::{Model, Packet};
 
@@ -18,8 +19,47 @@ pub(crate) struct Job<'a, 'b> {
     /// Unwound angle of the block, hundredths of a degree.
     pub angle: i64,
     pub geometry: &'a Geometry,
+    pub circle: &'a Circle,
     pub sweeps: &'a Sweeps,
     pub options: &'a Options,
+    /// Instructions this machine has: the same code is compiled for each set.
+    pub arch: Arch,
+}
+
+/// Most blocks that share a firing.
+const MAX_ECHOES: usize = 3;
+
+/// Where one firing's numbers are worked out.
+#[derive(Debug, Clone)]
+pub(crate) struct Scratch {
+    echo: [[u32; MAX_CHANNELS]; MAX_ECHOES],
+    lanes: [Lanes; MAX_ECHOES],
+    /// Where the channels look, level: x and y of unit vectors.
+    look: [[f32; MAX_CHANNELS]; 2],
+}
+
+/// Coordinates of one block's channels, metres.
+#[derive(Debug, Clone)]
+struct Lanes {
+    x: [f32; MAX_CHANNELS],
+    y: [f32; MAX_CHANNELS],
+    z: [f32; MAX_CHANNELS],
+}
+
+impl Scratch {
+    pub const fn new() -> Self {
+        const NONE: [f32; MAX_CHANNELS] = [0.0; MAX_CHANNELS];
+        const LANES: Lanes = Lanes {
+            x: NONE,
+            y: NONE,
+            z: NONE,
+        };
+        Self {
+            echo: [[0; MAX_CHANNELS]; MAX_ECHOES],
+            lanes: [LANES; MAX_ECHOES],
+            look: [NONE; 2],
+        }
+    }
 }
 
 /// Distance and intensity of one channel as on the wire: 16 and 8 bits; distance 0 is no return.
@@ -28,7 +68,7 @@ const ECHO: u32 = 0xff_ffff;
 
 /// All channels of one block, as arrays of equal length: what a sink takes that works on whole
 /// vectors. See [`ReturnSink::on_block`].
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub struct Block<'a> {
     /// Metres; 0 where there is no return.
     pub x_m: &'a [f32],
@@ -104,71 +144,112 @@ impl Block<'_> {
     }
 }
 
-impl<'b> Job<'_, 'b> {
+impl Job<'_, '_> {
     /// Hands the firing to `sink`; gives the number of its returns, and that of unique ones.
-    pub fn run<S: ReturnSink>(&self, sink: &mut S) -> (u32, u32) {
+    pub fn run<S: ReturnSink>(&self, scratch: &mut Scratch, sink: &mut S) -> (u32, u32) {
         match (self.packet.model(), self.packet.stride()) {
-            (Model::Qt64, _) => self.echoes::<64, 4, S>(sink),
-            (Model::Qt128, 3) => self.echoes::<128, 3, S>(sink),
-            (Model::Qt128, _) => self.echoes::<128, 4, S>(sink),
-            (Model::Xt32 | Model::Xt32m, _) => self.echoes::<32, 4, S>(sink),
-            (Model::Xt16, _) => self.echoes::<16, 4, S>(sink),
-            (Model::Pandar64, _) => self.echoes::<64, 3, S>(sink),
-            (Model::Pandar40p, _) => self.echoes::<40, 3, S>(sink),
+            (Model::Qt64, _) => self.echoes::<64, 4, S>(scratch, sink),
+            (Model::Qt128, 3) => self.echoes::<128, 3, S>(scratch, sink),
+            (Model::Qt128, _) => self.echoes::<128, 4, S>(scratch, sink),
+            (Model::Xt32m, _) if self.packet.return_mode().returns() == 3 => {
+                self.blocks::<32, 4, 3, S>(scratch, sink)
+            }
+            (Model::Xt32 | Model::Xt32m, _) => self.echoes::<32, 4, S>(scratch, sink),
+            (Model::Xt16, _) => self.echoes::<16, 4, S>(scratch, sink),
+            (Model::Pandar64, _) => self.echoes::<64, 3, S>(scratch, sink),
+            (Model::Pandar40p, _) => self.echoes::<40, 3, S>(scratch, sink),
         }
     }
 
     fn echoes<const C: usize, const STRIDE: usize, S: ReturnSink>(
         &self,
+        scratch: &mut Scratch,
         sink: &mut S,
     ) -> (u32, u32) {
         match self.packet.return_mode().returns() {
-            1 => self.blocks::<C, STRIDE, 1, S>(sink),
-            2 => self.blocks::<C, STRIDE, 2, S>(sink),
-            _ => self.blocks::<C, STRIDE, 3, S>(sink),
+            1 => self.blocks::<C, STRIDE, 1, S>(scratch, sink),
+            _ => self.blocks::<C, STRIDE, 2, S>(scratch, sink),
         }
     }
 
     fn blocks<const C: usize, const STRIDE: usize, const R: usize, S: ReturnSink>(
         &self,
+        scratch: &mut Scratch,
         sink: &mut S,
     ) -> (u32, u32) {
-        let mut echoes = [[0; C]; R];
+        let job = self;
+        self.arch
+            .dispatch(Blocks::<C, STRIDE, R, S> { job, scratch, sink })
+    }
+}
+
+/// `C` channels of `STRIDE` bytes in `R` blocks: one [`Job`], compiled for its sizes.
+struct Blocks<'a, 'b, 'c, const C: usize, const STRIDE: usize, const R: usize, S> {
+    job: &'a Job<'b, 'c>,
+    scratch: &'a mut Scratch,
+    sink: &'a mut S,
+}
+
+impl<const C: usize, const STRIDE: usize, const R: usize, S: ReturnSink> WithSimd
+    for Blocks<'_, '_, '_, C, STRIDE, R, S>
+{
+    type Output = (u32, u32);
+
+    #[inline(always)]
+    fn with_simd<V: Simd>(self, _: V) -> (u32, u32) {
+        let Self { job, scratch, sink } = self;
+        let Scratch { echo, lanes, look } = scratch;
+        let echo = echo
+            .first_chunk_mut::<R>()
+            .expect("a firing has at most three echoes");
+        let mut echoes = echo.each_mut().map(|all| lanes_of::<_, C>(all));
+        let mut found = 0;
         for (r, echoes) in echoes.iter_mut().enumerate() {
-            read::<C, STRIDE>(self.packet, self.block + r, echoes);
+            found += read::<C, STRIDE>(job.packet, job.block + r, echoes);
         }
-        let found: u32 = echoes.iter().map(count).sum();
         let repeated = repeated(&echoes);
-        if self.options.returns == Returns::Unique && repeated > 0 {
+        if job.options.returns == Returns::Unique && repeated > 0 {
             drop_repeated(&mut echoes);
         }
-        let mut lanes: [Lanes<C>; R] = [const { Lanes::ZERO }; R];
-        let mut direction = Direction::of(self.packet.azimuth_cdeg(self.block));
-        for (r, (lanes, echoes)) in lanes.iter_mut().zip(&echoes).enumerate() {
+        let mut azimuth_cdeg = None;
+        for (r, lanes) in lanes.iter_mut().take(R).enumerate() {
             // Echoes share their firing's azimuth; in a damaged packet they need not.
-            let azimuth_cdeg = self.packet.azimuth_cdeg(self.block + r);
-            if azimuth_cdeg != direction.azimuth_cdeg {
-                direction = Direction::of(azimuth_cdeg);
+            let own_cdeg = job.packet.azimuth_cdeg(job.block + r);
+            if azimuth_cdeg != Some(own_cdeg) {
+                azimuth_cdeg = Some(own_cdeg);
+                turn::<C>(look, job.circle.sin_cos(own_cdeg), job.geometry);
             }
-            lanes.place(echoes, &direction, self.packet.unit_mm(), self.geometry);
-            if let Some(centre) = self.options.optical_centre_m {
-                recentre(lanes, centre);
+            lanes.place(echoes[r], look, &job.geometry.up, job.packet.unit_mm());
+            if let Some(centre) = job.options.optical_centre_m {
+                recentre::<C>(lanes, centre);
             }
         }
-        let (low, high) = self.geometry.seam.sweeps(self.angle);
-        let place = (low, low != high);
-        let blocks = core::array::from_fn(|r| self.view(r, &echoes[r], &lanes[r], place));
+        let (low, high) = job.geometry.seam.sweeps(job.angle);
+        let seam = low != high;
+        let mut blocks = [job.view(0, echoes[0], &lanes[0], low, seam); R];
+        for r in 1..R {
+            blocks[r] = job.view(r, echoes[r], &lanes[r], low, seam);
+        }
         sink.on_firing::<R>(&blocks);
         (found, found - repeated)
     }
+}
 
-    #[inline]
+/// The `C` lanes in use.
+#[inline(always)]
+fn lanes_of<T, const C: usize>(all: &mut [T; MAX_CHANNELS]) -> &mut [T; C] {
+    all.first_chunk_mut().expect("no model has more channels")
+}
+
+impl Job<'_, '_> {
+    #[inline(always)]
     fn view<'c, const C: usize>(
         &'c self,
         r: usize,
         echo: &'c [u32; C],
-        lanes: &'c Lanes<C>,
-        (low, seam): (i64, bool),
+        lanes: &'c Lanes,
+        low: i64,
+        seam: bool,
     ) -> Block<'c> {
         let Geometry {
             zero, cut, fire_ns, ..
@@ -176,9 +257,9 @@ impl<'b> Job<'_, 'b> {
         // Offsets are half a turn at most: less than three turns from the sweep's start.
         let past = i32::try_from(self.angle - low * TURN).unwrap_or(0);
         Block {
-            x_m: &lanes.x,
-            y_m: &lanes.y,
-            z_m: &lanes.z,
+            x_m: &lanes.x[..C],
+            y_m: &lanes.y[..C],
+            z_m: &lanes.z[..C],
             echo,
             fire_ns: &fire_ns[..C],
             t: Stamp::from_nanos(self.t_ns),
@@ -192,87 +273,79 @@ impl<'b> Job<'_, 'b> {
     }
 }
 
-/// Where a block looks.
-struct Direction {
-    azimuth_cdeg: u16,
-    sin: f32,
-    cos: f32,
-}
-
-impl Direction {
-    fn of(azimuth_cdeg: u16) -> Self {
-        let (sin, cos) = geometry::sin_cos_cdeg(azimuth_cdeg);
-        Self {
-            azimuth_cdeg,
-            sin,
-            cos,
-        }
+/// Turns all channels to a block's azimuth.
+#[inline(always)]
+fn turn<const C: usize>(
+    look: &mut [[f32; MAX_CHANNELS]; 2],
+    (sin, cos): (f32, f32),
+    geometry: &Geometry,
+) {
+    let Geometry { ahead, aside, .. } = geometry;
+    let [x, y] = look;
+    for c in 0..C {
+        x[c] = ahead[c] * sin + aside[c] * cos;
+        y[c] = ahead[c] * cos - aside[c] * sin;
     }
 }
 
-/// Coordinates of one block's channels, metres.
-struct Lanes<const C: usize> {
-    x: [f32; C],
-    y: [f32; C],
-    z: [f32; C],
-}
-
-impl<const C: usize> Lanes<C> {
-    const ZERO: Self = Self {
-        x: [0.0; C],
-        y: [0.0; C],
-        z: [0.0; C],
-    };
-
-    #[inline]
-    fn place(&mut self, echoes: &[u32; C], at: &Direction, unit_mm: u8, geometry: &Geometry) {
-        let Direction { sin, cos, .. } = *at;
+impl Lanes {
+    #[inline(always)]
+    fn place<const C: usize>(
+        &mut self,
+        echoes: &[u32; C],
+        look: &[[f32; MAX_CHANNELS]; 2],
+        up: &[f32; MAX_CHANNELS],
+        unit_mm: u8,
+    ) {
         let unit_m = f32::from(unit_mm) * 1e-3;
-        let Geometry {
-            ahead, aside, up, ..
-        } = geometry;
+        let [x, y] = look;
         for c in 0..C {
             let bytes = echoes[c].to_le_bytes();
             let d = f32::from(u16::from_le_bytes([bytes[0], bytes[1]])) * unit_m;
-            self.x[c] = d * (ahead[c] * sin + aside[c] * cos);
-            self.y[c] = d * (ahead[c] * cos - aside[c] * sin);
+            self.x[c] = d * x[c];
+            self.y[c] = d * y[c];
             self.z[c] = d * up[c];
         }
     }
 }
 
-/// Distance and intensity of all channels of a block; 0 where the distance is.
-#[inline]
+/// Distance and intensity of all channels of a block, 0 where the distance is; gives how many are
+/// returns.
+#[inline(always)]
 fn read<const C: usize, const STRIDE: usize>(
     packet: &Packet<'_>,
     block: usize,
     echoes: &mut [u32; C],
-) {
+) -> u32 {
     let (units, _) = packet.channels(block).as_chunks::<STRIDE>();
     let units = units
         .first_chunk::<C>()
         .expect("a checked packet has all its channels");
+    let mut found = 0;
     for c in 0..C {
         let unit = &units[c];
-        // The fourth byte is masked off; taking the last of `STRIDE` lets a whole word be loaded.
-        let word = u32::from_le_bytes([unit[0], unit[1], unit[2], unit[STRIDE - 1]]) & ECHO;
-        echoes[c] = if word & DISTANCE == 0 { 0 } else { word };
+        let word = match unit.first_chunk::<4>() {
+            // The fourth byte is no part of the echo.
+            Some(word) => u32::from_le_bytes(*word) & ECHO,
+            None => u32::from_le_bytes([unit[0], unit[1], unit[2], 0]),
+        };
+        let is_return = word & DISTANCE != 0;
+        echoes[c] = if is_return { word } else { 0 };
+        found += u32::from(is_return);
     }
-}
-
-#[inline]
-fn count<const C: usize>(echoes: &[u32; C]) -> u32 {
-    echoes.iter().map(|&echo| u32::from(echo != 0)).sum()
+    found
 }
 
 /// Returns that a later block of the firing repeats.
-#[inline]
-fn repeated<const C: usize, const R: usize>(echoes: &[[u32; C]; R]) -> u32 {
+#[inline(always)]
+fn repeated<const C: usize, const R: usize>(echoes: &[&mut [u32; C]; R]) -> u32 {
     let mut repeated = 0;
     for r in 0..R {
-        for c in 0..C {
-            let echo = echoes[r][c];
-            let again = (r + 1..R).fold(false, |again, later| again | (echo == echoes[later][c]));
+        for (c, &echo) in echoes[r].iter().enumerate() {
+            let mut again = false;
+            for later in &echoes[r + 1..] {
+                again |= echo == later[c];
+            }
             repeated += u32::from(again & (echo != 0));
         }
     }
@@ -280,13 +353,13 @@ fn repeated<const C: usize, const R: usize>(echoes: &[[u32; C]; R]) -> u32 {
 }
 
 /// Leaves of equal returns the last.
-#[inline]
-fn drop_repeated<const C: usize, const R: usize>(echoes: &mut [[u32; C]; R]) {
+#[inline(always)]
+fn drop_repeated<const C: usize, const R: usize>(echoes: &mut [&mut [u32; C]; R]) {
     for r in 0..R {
-        for later in r + 1..R {
-            for c in 0..C {
-                let same = echoes[r][c] == echoes[later][c];
-                echoes[r][c] = if same { 0 } else { echoes[r][c] };
+        let (earlier, later) = echoes.split_at_mut(r + 1);
+        for later in later {
+            for (echo, again) in earlier[r].iter_mut().zip(later.iter()) {
+                *echo = if echo == again { 0 } else { *echo };
             }
         }
     }
@@ -306,7 +379,8 @@ fn behind(azimuth: u16, zero: u16) -> u16 {
 ///
 /// With u the direction and d the distance: p = s u + o, |p| = d, so that
 /// s = sqrt((u.o)^2 - |o|^2 + d^2) - u.o. Nearer than the centre itself, points stay.
-fn recentre<const C: usize>(lanes: &mut Lanes<C>, centre: [f32; 3]) {
+#[inline(always)]
+fn recentre<const C: usize>(lanes: &mut Lanes, centre: [f32; 3]) {
     let [ox, oy, oz] = centre;
     for c in 0..C {
         let (x, y, z) = (lanes.x[c], lanes.y[c], lanes.z[c]);
@@ -330,10 +404,10 @@ mod tests {
     #[test]
     fn equal_echoes_keep_the_last_block() {
         let mut echoes = [[5, 6, 0, 7], [5, 9, 0, 0], [5, 6, 0, 7]];
-        assert_eq!(repeated(&echoes), 4);
-        drop_repeated(&mut echoes);
+        assert_eq!(repeated(&echoes.each_mut()), 4);
+        drop_repeated(&mut echoes.each_mut());
         assert_eq!(echoes, [[0, 0, 0, 0], [0, 9, 0, 0], [5, 6, 0, 7]]);
-        assert_eq!(repeated(&[[5, 0x01_0005]]), 0);
+        assert_eq!(repeated(&[&mut [5, 0x01_0005]]), 0);
     }
 
     #[test]
@@ -347,12 +421,9 @@ mod tests {
     #[test]
     fn recentred_points_keep_their_distance_and_lie_on_the_beam() {
         let centre = Options::QT64_CENTRE_M;
-        let mut lanes = Lanes {
-            x: [3.0, 0.0, 0.01],
-            y: [4.0, 0.0, 0.0],
-            z: [1.0, 0.0, 0.0],
-        };
-        recentre(&mut lanes, centre);
+        let [mut lanes, ..] = Scratch::new().lanes;
+        (lanes.x[0], lanes.y[0], lanes.z[0], lanes.x[2]) = (3.0, 4.0, 1.0, 0.01);
+        recentre::<3>(&mut lanes, centre);
         let d = (lanes.x[0].powi(2) + lanes.y[0].powi(2) + lanes.z[0].powi(2)).sqrt();
         assert!((d - 26f32.sqrt()).abs() < 1e-6);
         let beam = [

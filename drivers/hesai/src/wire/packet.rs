@@ -265,60 +265,72 @@ impl<'a> Packet<'a> {
             return Err(PacketError::Micros(self.micros()));
         }
         let at = self.tail + self.spec.tail.date;
-        let bytes: [u8; 6] = core::array::from_fn(|i| self.bytes[at + i]);
+        let b = &self.bytes[at..at + 6];
+        let bytes = [b[0], b[1], b[2], b[3], b[4], b[5]];
         self.seconds = date::seconds(bytes).ok_or(PacketError::Date(bytes))?;
         Ok(())
     }
 
+    #[inline]
     fn block_start(&self, index: usize) -> usize {
         self.spec.header_len + index * (self.spec.block_header + self.spec.channels * self.stride)
     }
 
+    #[inline]
     fn u16_at(&self, at: usize) -> u16 {
         u16::from_le_bytes([self.bytes[at], self.bytes[at + 1]])
     }
 
+    #[inline]
     fn u32_at(&self, at: usize) -> u32 {
-        u32::from_le_bytes(core::array::from_fn(|i| self.bytes[at + i]))
+        let b = &self.bytes[at..at + 4];
+        u32::from_le_bytes([b[0], b[1], b[2], b[3]])
     }
 
     /// The model it was checked against.
+    #[inline]
     #[must_use]
     pub fn model(&self) -> Model {
         self.spec.model
     }
 
     /// Which echoes the blocks hold.
+    #[inline]
     #[must_use]
     pub fn return_mode(&self) -> ReturnMode {
         self.mode
     }
 
     /// One unit of distance, millimetres, at least 1.
+    #[inline]
     #[must_use]
     pub fn unit_mm(&self) -> u8 {
         self.unit_mm
     }
 
     /// Motor speed, turns per minute.
+    #[inline]
     #[must_use]
     pub fn rpm(&self) -> u16 {
         self.u16_at(self.tail + self.spec.tail.rpm)
     }
 
     /// Microseconds inside the second, `0..=1_000_000`, on the LiDAR's clock.
+    #[inline]
     #[must_use]
     pub fn micros(&self) -> u32 {
         self.u32_at(self.tail + self.spec.tail.micros)
     }
 
     /// The packet's time, nanoseconds since 1970 on the LiDAR's clock.
+    #[inline]
     #[must_use]
     pub fn time_ns(&self) -> u64 {
         self.seconds * 1_000_000_000 + u64::from(self.micros()) * 1000
     }
 
     /// UDP sequence number, where the sensor sends one; wraps at 2^32.
+    #[inline]
     #[must_use]
     pub fn sequence(&self) -> Option<u32> {
         self.has_sequence
@@ -329,6 +341,7 @@ impl<'a> Packet<'a> {
     ///
     /// # Panics
     /// When the model has no such block.
+    #[inline]
     #[must_use]
     pub fn azimuth_cdeg(&self, index: usize) -> u16 {
         assert!(
@@ -340,6 +353,7 @@ impl<'a> Packet<'a> {
     }
 
     /// Bytes per channel in [`channels`](Self::channels): distance, reflectivity, maybe confidence.
+    #[inline]
     #[must_use]
     pub fn stride(&self) -> usize {
         self.stride
@@ -349,6 +363,7 @@ impl<'a> Packet<'a> {
     ///
     /// # Panics
     /// When the model has no such block.
+    #[inline]
     #[must_use]
     pub fn channels(&self, index: usize) -> &'a [u8] {
         assert!(

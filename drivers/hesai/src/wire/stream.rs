@@ -46,8 +46,10 @@ const LATE_MAX: i64 = 32;
 #[derive(Debug, Clone)]
 pub(crate) struct Stream {
     newest: Option<Newest>,
-    /// Bit `n` of the whole: the packet `n` before the newest was seen.
+    /// A ring of bits, one per packet: seen or not.
     seen: [u64; WORDS],
+    /// Where in the ring the newest is.
+    head: usize,
     /// Packets back from the newest that `seen` speaks of.
     known: u32,
 }
@@ -63,6 +65,7 @@ impl Stream {
         Self {
             newest: None,
             seen: [0; WORDS],
+            head: 0,
             known: 0,
         }
     }
@@ -103,8 +106,8 @@ impl Stream {
     fn restart(&mut self, sequence: Option<u32>, time_ns: u64) {
         self.newest = Some(Newest { sequence, time_ns });
         self.seen = [0; WORDS];
-        self.seen[0] = 1;
         self.known = 1;
+        self.mark(0);
     }
 
     /// `steps` numbers after the newest.
@@ -187,30 +190,31 @@ impl Stream {
         }
     }
 
+    fn bit(&self, back: u32) -> (usize, u64) {
+        let at = self.head.wrapping_sub(back as usize) % (WINDOW as usize);
+        (at / 64, 1 << (at % 64))
+    }
+
     fn is_seen(&self, back: u32) -> bool {
-        let back = back as usize;
-        self.seen[back / 64] >> (back % 64) & 1 == 1
+        let (word, bit) = self.bit(back);
+        self.seen[word] & bit != 0
     }
 
     fn mark(&mut self, back: u32) {
-        let back = back as usize;
-        self.seen[back / 64] |= 1 << (back % 64);
+        let (word, bit) = self.bit(back);
+        self.seen[word] |= bit;
     }
 
     /// The newest is now `steps` later, and seen.
     fn shift(&mut self, steps: u32) {
         if steps >= WINDOW {
             self.seen = [0; WORDS];
-        } else {
-            let (words, bits) = (steps as usize / 64, steps % 64);
-            for i in (0..WORDS).rev() {
-                let at = |n: Option<usize>| n.map_or(0, |n| self.seen[n]);
-                let high = at(i.checked_sub(words)) << bits;
-                let low = at(i.checked_sub(words + 1))
-                    .checked_shr(64 - bits)
-                    .unwrap_or(0);
-                self.seen[i] = high | low;
-            }
+        }
+        // Bits of a turn of the ring ago.
+        for _ in 0..steps.min(WINDOW) {
+            self.head = self.head.wrapping_add(1);
+            let (word, bit) = self.bit(0);
+            self.seen[word] &= !bit;
         }
         self.mark(0);
         self.known = self.known.saturating_add(steps).min(WINDOW);
