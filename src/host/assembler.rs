@@ -161,12 +161,13 @@ impl<O: Outlet> Assembler<O> {
         self.advance_voxels();
         // Only where a transfer ends do its newest word and its arrival belong together; and only
         // there may time move on, or results would depend on how the bytes were cut.
-        if let (true, Some(newest)) = (block.ends_transfer, block.watermark) {
+        if let (true, Some(watermark)) = (block.ends_transfer, block.watermark) {
+            let newest = block.newest.unwrap_or(watermark);
             match self.timeline.evk4_arrival(newest, block.arrival) {
-                Observation::Used => self.advance(newest, block.arrival),
+                Observation::Used => self.advance(watermark, block.arrival),
                 Observation::NewEpoch(_) => {
                     self.evk4_restarted(block.arrival);
-                    self.advance(newest, block.arrival);
+                    self.advance(watermark, block.arrival);
                 }
                 Observation::Late | Observation::Suspect => {}
             }
@@ -358,6 +359,8 @@ impl<O: Outlet> Assembler<O> {
                         berth.close_received_ns = self.received_ns;
                         berth.inputs_received_ns = self.received_ns;
                     }
+                    // The next exposure may open within the same transfer.
+                    self.finish_passed_voxels();
                 }
                 ExposureEvent::Imaged { exposure, pair } => {
                     if let Some(pair) = pair {
@@ -388,6 +391,7 @@ impl<O: Outlet> Assembler<O> {
 
     fn opened(&mut self, id: u64, open: Stamp<Evk4>, close_predicted: Option<Stamp<Evk4>>) {
         self.bundles.exposures += 1;
+        self.finish_voxels_before(open);
         if self.bay.is_full() {
             self.bundles.without_memory += 1;
             return;
@@ -463,6 +467,18 @@ impl<O: Outlet> Assembler<O> {
                 finish_voxels(voxels, &self.history, &self.layout, berth, was_open, &mut self.raster);
                 self.rastering = self.rastering.filter(|_| !was_open);
             }
+        }
+    }
+
+    /// Finishes the exposure under way when the next one opens: every event of it that precedes
+    /// this edge in the stream is here, and none follows that far behind.
+    fn finish_voxels_before(&mut self, open: Stamp<Evk4>) {
+        let Some(id) = self.rastering else { return };
+        let (Some(voxels), Some(berth)) = (&mut self.voxels, self.bay.get(id)) else { return };
+        let straggle_ns = i64::try_from(STRAGGLE_US * 1000).unwrap_or(i64::MAX);
+        if berth.close.is_some_and(|close| close.offset_nanos(straggle_ns) <= open) {
+            finish_voxels(voxels, &self.history, &self.layout, berth, true, &mut self.raster);
+            self.rastering = None;
         }
     }
 

@@ -26,7 +26,10 @@ pub struct EventBlock {
     pub edges: Vec<EdgeMark>,
     /// No earlier event follows.
     pub watermark: Option<Stamp<Evk4>>,
-    /// Whether the transfer ends with this block: only then do arrival and watermark belong
+    /// The latest instant that the transfer so far tells of: the one that `arrival` belongs to. A
+    /// watermark trails it by what the sensor may step back.
+    pub newest: Option<Stamp<Evk4>>,
+    /// Whether the transfer ends with this block: only then do arrival and `newest` belong
     /// together.
     pub ends_transfer: bool,
     /// Transfers lost before this one.
@@ -48,6 +51,7 @@ impl EventBlock {
             events: Vec::with_capacity(Self::EVENTS_MAX),
             edges: Vec::with_capacity(Self::EDGES_MAX),
             watermark: None,
+            newest: None,
             ends_transfer: false,
             lost_before: 0,
         }
@@ -64,6 +68,7 @@ impl EventBlock {
         self.events.clear();
         self.edges.clear();
         self.watermark = None;
+        self.newest = None;
         self.ends_transfer = false;
         self.lost_before = 0;
     }

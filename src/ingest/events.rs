@@ -3,7 +3,7 @@
 use noctule_evk4::{Decoder, EventSink};
 use noctule_raster::PackedEvent;
 use noctule_recording::EventTransfers;
-use noctule_sensor::{Event, Realtime, Stamp, TriggerEdge};
+use noctule_sensor::{Event, Evk4, Realtime, Stamp, TriggerEdge};
 
 use super::{Flow, IngestError, Ingested};
 use crate::host::{EdgeMark, EventBlock};
@@ -21,7 +21,7 @@ pub fn run(
 ) -> Result<Ingested, IngestError> {
     let header = transfers.header();
     let mut decoder = Decoder::new(header.format, header.geometry);
-    let mut packer = Packer { lane: &mut lane, when_full: flow.when_full, block: None, arrival: Stamp::ZERO, received_ns: 0, shed: 0, events: 0, unpackable: 0 };
+    let mut packer = Packer { lane: &mut lane, when_full: flow.when_full, block: None, arrival: Stamp::ZERO, received_ns: 0, newest: None, shed: 0, events: 0, unpackable: 0 };
     let (mut transfer_count, mut bytes) = (0, 0);
     while let Some(transfer) = transfers.next_transfer()? {
         // Transfers come in order; a clock that was set back must not break the promise.
@@ -29,6 +29,7 @@ pub fn run(
         packer.lane.promise(packer.arrival);
         let Some(received_ns) = flow.pacer.hold(packer.arrival, flow.stop) else { break };
         packer.received_ns = received_ns;
+        packer.newest = None;
         transfer_count += 1;
         bytes += transfer.bytes.len() as u64;
         let piece = flow.piece_bytes.unwrap_or(usize::MAX).max(1);
@@ -70,6 +71,8 @@ struct Packer<'a> {
     block: Option<Box<EventBlock>>,
     arrival: Stamp<Realtime>,
     received_ns: u64,
+    /// The latest event or edge of the transfer.
+    newest: Option<Stamp<Evk4>>,
     shed: u64,
     events: u64,
     unpackable: u64,
@@ -90,7 +93,7 @@ impl Packer<'_> {
     }
 
     /// Hands over what there is. An empty block still carries the watermark.
-    fn flush(&mut self, watermark: Option<Stamp<noctule_sensor::Evk4>>, ends_transfer: bool) {
+    fn flush(&mut self, watermark: Option<Stamp<Evk4>>, ends_transfer: bool) {
         let block = match self.block.take() {
             Some(block) => Some(block),
             None => self.lane.lease(self.when_full).map(|mut block| {
@@ -102,6 +105,7 @@ impl Packer<'_> {
         block.arrival = self.arrival;
         block.received_ns = self.received_ns;
         block.watermark = watermark;
+        block.newest = self.newest.max(watermark);
         block.ends_transfer = ends_transfer;
         self.lane.push(block);
     }
@@ -110,6 +114,7 @@ impl Packer<'_> {
 impl EventSink for Packer<'_> {
     #[inline]
     fn event(&mut self, event: Event) {
+        self.newest = self.newest.max(Some(event.t));
         let Ok(packed) = PackedEvent::from_event(&event) else {
             self.unpackable += 1;
             return;
@@ -127,6 +132,8 @@ impl EventSink for Packer<'_> {
     }
 
     fn events(&mut self, events: &[Event]) {
+        // In stream order: none is later than the last by more than a sensor steps back.
+        self.newest = self.newest.max(events.last().map(|event| event.t));
         let mut rest = events;
         while !rest.is_empty() {
             let Some(block) = self.room() else {
@@ -146,6 +153,7 @@ impl EventSink for Packer<'_> {
     }
 
     fn trigger(&mut self, edge: TriggerEdge) {
+        self.newest = self.newest.max(Some(edge.t));
         if let Some(block) = self.room() {
             let events_before = block.events.len();
             block.edges.push(EdgeMark { events_before, edge });

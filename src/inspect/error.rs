@@ -8,6 +8,8 @@ use noctule_hesai::pcap::CaptureError;
 use noctule_hesai::{OptionsError, TableError};
 use noctule_recording::{Faults, RecordingError};
 
+use super::recording::{EVENTS_FILE, LIDAR_FILE};
+
 /// What is wrong with which file, and where in it.
 ///
 /// Returned when nothing could be read, and listed as a fault when the part before could.
@@ -114,6 +116,22 @@ impl InspectError {
             offset,
             source,
         }
+    }
+
+    /// What a stream of the recording in `dir` lacks, if anything.
+    pub(super) fn stream(dir: &Path, file: &str, faults: Faults) -> Option<Self> {
+        let path = dir.join(file);
+        (!faults.is_clean()).then_some(Self::Stream { path, faults })
+    }
+
+    /// What the event stream of the recording in `dir` lacks, if anything.
+    pub(crate) fn of_events(dir: &Path, faults: Faults) -> Option<Self> {
+        Self::stream(dir, EVENTS_FILE, faults)
+    }
+
+    /// What the LiDAR capture of the recording in `dir` lacks, if anything.
+    pub(crate) fn of_lidar(dir: &Path, faults: Faults) -> Option<Self> {
+        Self::stream(dir, LIDAR_FILE, faults)
     }
 
     /// The capture ends early or cannot be understood.

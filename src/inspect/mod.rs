@@ -23,7 +23,9 @@ pub use raw::{RawReport, TriggerReport};
 pub use recording::{
     CanReport, ClockReport, GeneratorReport, ImageReport, RecordingReport, TransferReport,
 };
-pub use sensor::{SensorFound, find_sensor, load_correction, load_fire_times};
+pub use sensor::{
+    SensorFound, find_recorded_sensor, find_sensor, load_correction, load_fire_times,
+};
 pub use watched::Watched;
 
 use std::fs;

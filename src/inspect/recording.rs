@@ -12,7 +12,8 @@ use super::lidar::survey;
 use super::pulses::Pulses;
 use super::raw::Tap;
 use super::{
-    ExposureReport, InspectError, LidarReport, Options, RawReport, SensorFound, TruthReport,
+    ExposureReport, InspectError, LidarReport, Options, RawReport, TruthReport,
+    find_recorded_sensor,
 };
 
 /// Files of the recording schema that faults are reported against.
@@ -222,10 +223,8 @@ impl Streams<'_> {
     }
 
     fn note(&mut self, file: &str, faults: Faults) {
-        if !faults.is_clean() {
-            let path = self.recording.path().join(file);
-            self.faults.push(InspectError::Stream { path, faults });
-        }
+        let dir = self.recording.path();
+        self.faults.extend(InspectError::stream(dir, file, faults));
     }
 
     fn events(&mut self) -> (Option<RawReport>, Option<TransferReport>, ExposureReport) {
@@ -299,7 +298,7 @@ impl Streams<'_> {
             .map(|name| dir.join(name));
         let path = dir.join(LIDAR_FILE);
         let given = self.options.angles.as_deref();
-        let made = survey(&path, given.or(own.as_deref()), || sensor(recording));
+        let made = survey(&path, given.or(own.as_deref()), || find_recorded_sensor(recording));
         match made {
             // A bad table inside the recording is a fault of the recording.
             Err(error) if given.is_none() => {
@@ -382,18 +381,6 @@ impl Streams<'_> {
         self.note(EXPOSURES_FILE, table.faults());
         Some(report)
     }
-}
-
-/// The recording's LiDAR, by its first valid packet.
-pub(crate) fn sensor(recording: &Recording) -> Result<Option<SensorFound>, InspectError> {
-    let mut stream = recording.datagrams()?;
-    while let Ok(Some(datagram)) = stream.next_datagram() {
-        let found = SensorFound::in_datagram(datagram.dst_port, datagram.payload);
-        if found.is_some() {
-            return Ok(found);
-        }
-    }
-    Ok(None)
 }
 
 /// The first value stays, the last is replaced.

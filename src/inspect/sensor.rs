@@ -6,6 +6,7 @@ use std::path::Path;
 
 use noctule_hesai::pcap::Reader;
 use noctule_hesai::{Correction, FireTimes, Model, Packet};
+use noctule_recording::Recording;
 
 use super::{InspectError, Watched};
 
@@ -37,6 +38,21 @@ pub fn find_sensor(path: &Path) -> Result<Option<SensorFound>, InspectError> {
     let file = BufReader::new(Watched::open(path, &|_| {})?);
     let mut reader = Reader::new(file).map_err(InspectError::capture(path))?;
     while let Ok(Some(datagram)) = reader.next_datagram() {
+        let found = SensorFound::in_datagram(datagram.dst_port, datagram.payload);
+        if found.is_some() {
+            return Ok(found);
+        }
+    }
+    Ok(None)
+}
+
+/// The LiDAR of a recording, by its first valid packet; `None` as in [`find_sensor`].
+///
+/// # Errors
+/// When the recording has no LiDAR datagrams, or they cannot be opened.
+pub fn find_recorded_sensor(recording: &Recording) -> Result<Option<SensorFound>, InspectError> {
+    let mut stream = recording.datagrams()?;
+    while let Ok(Some(datagram)) = stream.next_datagram() {
         let found = SensorFound::in_datagram(datagram.dst_port, datagram.payload);
         if found.is_some() {
             return Ok(found);

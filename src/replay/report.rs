@@ -8,6 +8,7 @@ use super::host::Prepared;
 use crate::digest::FrameDigest;
 use crate::host::HostReport;
 use crate::infer::InferReport;
+use crate::ingest::Pace;
 use crate::latency::{StageRow, table_of_stages, table_of_streams};
 use crate::observe::{Observed, Scores};
 
@@ -18,6 +19,8 @@ pub struct RunReport {
     pub recording: String,
     /// What it lacks.
     pub missing: Vec<String>,
+    /// How fast it was let through: recorded seconds per second, absent for as fast as possible.
+    pub pace: Option<f64>,
     /// The host.
     pub host: HostReport,
     /// The inference process, over all its lives.
@@ -43,6 +46,7 @@ impl RunReport {
     #[must_use]
     pub fn new(
         prepared: &Prepared,
+        pace: Pace,
         host: HostReport,
         infer: InferReport,
         infer_restarts: u32,
@@ -80,6 +84,10 @@ impl RunReport {
         Self {
             recording: prepared.recording().path().display().to_string(),
             missing: prepared.missing(),
+            pace: match pace {
+                Pace::Max => None,
+                Pace::Speed(speed) => Some(speed),
+            },
             deadline_misses: sent.saturating_sub(observed.sequences_complete)
                 + observed.frames_late.min(observed.sequences_complete),
             stages,
@@ -103,6 +111,9 @@ impl RunReport {
             let _ = writeln!(text, "without: {}", self.missing.join("; "));
         }
         let _ = writeln!(text, "\n{}", table_of_streams(&host.streams));
+        if self.pace.is_none() {
+            let _ = writeln!(text, "as fast as possible: latencies include the wait in full lanes");
+        }
         let _ = writeln!(text, "{}", table_of_stages(&self.stages));
         let b = &host.bundles;
         let _ = writeln!(

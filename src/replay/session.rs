@@ -115,7 +115,7 @@ impl Session {
         }
         owner.clean_dead();
         drop(owner);
-        let report = RunReport::new(prepared, host, inferred, restarts, &observed, instance.residue().len());
+        let report = RunReport::new(prepared, options.host.pace, host, inferred, restarts, &observed, instance.residue().len());
         Ok(Self { report, observed })
     }
 }
