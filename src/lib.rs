@@ -2,10 +2,12 @@
 pub mod bus;
 pub mod config;
 pub mod digest;
+pub mod export;
 pub mod frame;
 pub mod host;
 pub mod infer;
 pub mod ingest;
+pub mod inspect;
 pub mod lane;
 pub mod latency;
 pub mod observe;

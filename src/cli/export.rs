@@ -2,9 +2,7 @@
 
 use std::path::PathBuf;
 
-use noctule::export::{
-    self, DepthFormat, DepthOptions, Layer, LidarOptions, Request, Stream,
-};
+use noctule::export::{self, DepthFormat, DepthOptions, Layer, LidarOptions, Request, Stream};
 use noctule::inspect::bytes_to_read;
 use noctule_evk4::Geometry;
 use noctule_hesai::Returns;
@@ -71,7 +69,12 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let exported = export::export(&request(arguments), &|len| bar.inc(len));
     bar.finish_and_clear();
     let exported = exported?;
-    println!("{}: {} {}", arguments.to.display(), exported.written, exported.unit);
+    println!(
+        "{}: {} {}",
+        arguments.to.display(),
+        exported.written,
+        exported.unit
+    );
     let from = arguments.from.display();
     for (kind, count) in &exported.undecoded {
         eprintln!("warning: {from}: not decoded: {kind} {count}");
@@ -95,8 +98,16 @@ fn request(arguments: &Arguments) -> Request {
             sweep: arguments.sweep,
         },
         depth: DepthOptions {
-            format: if arguments.png16 { DepthFormat::Png16 } else { DepthFormat::Colour },
-            layer: if arguments.sparse { Layer::Sparse } else { Layer::Truth },
+            format: if arguments.png16 {
+                DepthFormat::Png16
+            } else {
+                DepthFormat::Colour
+            },
+            layer: if arguments.sparse {
+                Layer::Sparse
+            } else {
+                Layer::Truth
+            },
             near_m: arguments.near,
             far_m: arguments.far,
         },

@@ -51,7 +51,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
             }
         }
     }
-    if unreadable { Err(Failure::Gate) } else { Ok(()) }
+    if unreadable {
+        Err(Failure::Gate)
+    } else {
+        Ok(())
+    }
 }
 
 #[expect(clippy::print_stdout, reason = "the answer is this command's output")]
@@ -70,8 +74,10 @@ fn show(inspection: &Inspection, json: bool) -> Outcome {
 /// Two numbers of pixels, as in `1280x720`.
 pub(super) fn geometry(text: &str) -> Result<Geometry, String> {
     let side = |side: &str| side.parse::<u16>().ok().filter(|&side| side > 0);
-    let sides = text.split_once('x').and_then(|(w, h)| Some((side(w)?, side(h)?)));
-    let (width, height) =
-        sides.ok_or_else(|| format!("needs WIDTHxHEIGHT in pixels, such as 1280x720, not {text:?}"))?;
+    let sides = text
+        .split_once('x')
+        .and_then(|(w, h)| Some((side(w)?, side(h)?)));
+    let (width, height) = sides
+        .ok_or_else(|| format!("needs WIDTHxHEIGHT in pixels, such as 1280x720, not {text:?}"))?;
     Ok(Geometry { width, height })
 }

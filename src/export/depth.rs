@@ -59,8 +59,15 @@ impl Default for DepthOptions {
 
 /// One map to be: where it comes from, and the name it gets in a folder.
 enum Map {
-    File { path: PathBuf, name: OsString },
-    Step { truth: SampleTruth, step: u32, name: OsString },
+    File {
+        path: PathBuf,
+        name: OsString,
+    },
+    Step {
+        truth: SampleTruth,
+        step: u32,
+        name: OsString,
+    },
 }
 
 impl Map {
@@ -107,11 +114,19 @@ pub(super) fn export(
         Target::Folder => fs::create_dir_all(to).map_err(ExportError::output(to))?,
         Target::Csv | Target::Npy | Target::Pcd => {
             let (path, stream) = (to.clone(), Stream::Depth);
-            return Err(ExportError::Unsuitable { path, target, stream });
+            return Err(ExportError::Unsuitable {
+                path,
+                target,
+                stream,
+            });
         }
     }
     for map in &maps {
-        let path = if target == Target::Png { to.clone() } else { to.join(map.name()) };
+        let path = if target == Target::Png {
+            to.clone()
+        } else {
+            to.join(map.name())
+        };
         if let Map::File { path: from, .. } = map {
             refuse_same(from, &path)?;
             progress(fs::metadata(from).map_or(0, |m| m.len()));
@@ -129,7 +144,9 @@ pub(super) fn export(
 
 /// The maps of a source, in order; at least one.
 fn maps(from: &Path) -> Result<Vec<Map>, ExportError> {
-    let no_maps = || ExportError::NoMaps { path: from.to_owned() };
+    let no_maps = || ExportError::NoMaps {
+        path: from.to_owned(),
+    };
     if !from.is_dir() {
         if is_png(from) {
             return Ok(vec![Map::file(from.to_owned())]);
@@ -138,8 +155,16 @@ fn maps(from: &Path) -> Result<Vec<Map>, ExportError> {
         Kind::of(from)?;
         return Err(no_maps());
     }
-    let maps = if from.join("meta.json").is_file() { steps(from)? } else { files(from)? };
-    if maps.is_empty() { Err(no_maps()) } else { Ok(maps) }
+    let maps = if from.join("meta.json").is_file() {
+        steps(from)?
+    } else {
+        files(from)?
+    };
+    if maps.is_empty() {
+        Err(no_maps())
+    } else {
+        Ok(maps)
+    }
 }
 
 /// Every step of every sample of a recording.
@@ -159,7 +184,8 @@ fn steps(dir: &Path) -> Result<Vec<Map>, ExportError> {
 
 /// Whether a path is named like a PNG.
 pub(super) fn is_png(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"))
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("png"))
 }
 
 /// The PNG files of a folder by name.
@@ -184,11 +210,14 @@ fn write(
     let (width, height, depth_m) = (image.width, image.height, &image.depth_m);
     let mut png = Vec::new();
     match format {
-        DepthFormat::Png16 => write_depth_png16(&mut png, width, height, depth_m)
-            .map_err(|source| DepthPngError::File {
-                path: path.to_owned(),
-                source: Box::new(source),
-            })?,
+        DepthFormat::Png16 => {
+            write_depth_png16(&mut png, width, height, depth_m).map_err(|source| {
+                DepthPngError::File {
+                    path: path.to_owned(),
+                    source: Box::new(source),
+                }
+            })?
+        }
         DepthFormat::Colour => {
             let mut canvas = Canvas::new(width, height, [0; 3])?;
             depth_to_rgb(depth_m, scale, canvas.rgb_mut()).map_err(DepthPngError::from)?;
@@ -203,7 +232,9 @@ fn write(
 /// Depth that is drawn over its own file is gone.
 fn refuse_same(from: &Path, to: &Path) -> Result<(), ExportError> {
     match (fs::canonicalize(from), fs::canonicalize(to)) {
-        (Ok(a), Ok(b)) if a == b => Err(ExportError::Same { path: from.to_owned() }),
+        (Ok(a), Ok(b)) if a == b => Err(ExportError::Same {
+            path: from.to_owned(),
+        }),
         _ => Ok(()),
     }
 }

@@ -89,11 +89,7 @@ enum Source<'a> {
 }
 
 impl<'a> Source<'a> {
-    fn open(
-        request: &Request,
-        kind: Kind,
-        progress: &'a dyn Fn(u64),
-    ) -> Result<Self, ExportError> {
+    fn open(request: &Request, kind: Kind, progress: &'a dyn Fn(u64)) -> Result<Self, ExportError> {
         let path = &request.from;
         if kind == Kind::Recording {
             let stream = Recording::open(path)?.event_transfers()?;
@@ -137,11 +133,7 @@ impl<'a> Source<'a> {
     }
 
     /// The next bytes; `None` at the end.
-    fn next(
-        &mut self,
-        path: &Path,
-        progress: &dyn Fn(u64),
-    ) -> Result<Option<&[u8]>, InspectError> {
+    fn next(&mut self, path: &Path, progress: &dyn Fn(u64)) -> Result<Option<&[u8]>, InspectError> {
         match self {
             Self::Raw(file) => {
                 let chunk = file.next_chunk().map_err(InspectError::io(path, 0))?;
@@ -206,7 +198,10 @@ mod tests {
         for events in [0, 82_469, u64::MAX] {
             let header = npy_header(events);
             let text = String::from_utf8_lossy(&header[10..]);
-            assert!(text.contains(&format!("'shape': ({events},), }}")), "{text}");
+            assert!(
+                text.contains(&format!("'shape': ({events},), }}")),
+                "{text}"
+            );
             assert!(text.ends_with('\n'));
             let len = u16::from_le_bytes([header[8], header[9]]);
             assert_eq!(usize::from(len) + 10, NPY_HEADER_LEN);

@@ -126,8 +126,16 @@ mod tests {
         });
         for &(us, rising) in edges {
             let t = Stamp::from_micros(us);
-            pulses.edge(TriggerEdge { t, channel: 2, rising });
-            pulses.edge(TriggerEdge { t, channel: 0, rising: !rising });
+            pulses.edge(TriggerEdge {
+                t,
+                channel: 2,
+                rising,
+            });
+            pulses.edge(TriggerEdge {
+                t,
+                channel: 0,
+                rising: !rising,
+            });
         }
         pulses.report()
     }
@@ -146,14 +154,26 @@ mod tests {
         ];
         let report = pulses(StrobePolarity::ActiveHigh, &edges);
         assert_eq!((report.pulses, report.unpaired_edges), (2, 4));
-        assert_eq!((report.width_us_min, report.width_us_max), (Some(60), Some(95)));
-        assert_eq!((report.first_us, report.last_us, report.width_us_sum), (Some(100), Some(300), 155));
+        assert_eq!(
+            (report.width_us_min, report.width_us_max),
+            (Some(60), Some(95))
+        );
+        assert_eq!(
+            (report.first_us, report.last_us, report.width_us_sum),
+            (Some(100), Some(300), 155)
+        );
     }
 
     #[test]
     fn an_inverted_strobe_opens_on_the_falling_edge() {
-        let report = pulses(StrobePolarity::ActiveLow, &[(5, false), (25, true), (40, false)]);
-        assert_eq!((report.pulses, report.width_us_sum, report.unpaired_edges), (1, 20, 1));
+        let report = pulses(
+            StrobePolarity::ActiveLow,
+            &[(5, false), (25, true), (40, false)],
+        );
+        assert_eq!(
+            (report.pulses, report.width_us_sum, report.unpaired_edges),
+            (1, 20, 1)
+        );
     }
 
     #[test]

@@ -292,13 +292,17 @@ impl Streams<'_> {
     fn survey(&mut self) -> Result<Survey, InspectError> {
         let recording = self.recording;
         let dir = recording.path();
-        let own = recording.calibration().and_then(|c| c.lidar_angles.as_deref());
+        let own = recording
+            .calibration()
+            .and_then(|c| c.lidar_angles.as_deref());
         let own = own
             .filter(|_| !self.missing.contains(&Missing::LidarAngles))
             .map(|name| dir.join(name));
         let path = dir.join(LIDAR_FILE);
         let given = self.options.angles.as_deref();
-        let made = survey(&path, given.or(own.as_deref()), || find_recorded_sensor(recording));
+        let made = survey(&path, given.or(own.as_deref()), || {
+            find_recorded_sensor(recording)
+        });
         match made {
             // A bad table inside the recording is a fault of the recording.
             Err(error) if given.is_none() => {

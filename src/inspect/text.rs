@@ -31,9 +31,20 @@ fn line(f: &mut Formatter<'_>, indent: &str, name: &str, value: &dyn Display) ->
 }
 
 fn raw(report: &RawReport, f: &mut Formatter<'_>, indent: &str) -> fmt::Result {
-    writeln!(f, "RAW {}, {}x{}", report.format, report.width, report.height)?;
-    let RawReport { events, on, off, .. } = report;
-    line(f, indent, "events", &format_args!("{events} ({on} on, {off} off)"))?;
+    writeln!(
+        f,
+        "RAW {}, {}x{}",
+        report.format, report.width, report.height
+    )?;
+    let RawReport {
+        events, on, off, ..
+    } = report;
+    line(
+        f,
+        indent,
+        "events",
+        &format_args!("{events} ({on} on, {off} off)"),
+    )?;
     if let (Some(first), Some(last)) = (report.first_us, report.last_us) {
         line(f, indent, "time", &Micros(first, last))?;
         #[expect(clippy::cast_precision_loss, reason = "shown with three decimals")]
@@ -42,7 +53,12 @@ fn raw(report: &RawReport, f: &mut Formatter<'_>, indent: &str) -> fmt::Result {
             line(f, indent, "rate", &format_args!("{rate:.3} Mev/s"))?;
         }
     }
-    line(f, indent, "sums", &format_args!("x {}, y {}", report.sum_x, report.sum_y))?;
+    line(
+        f,
+        indent,
+        "sums",
+        &format_args!("x {}, y {}", report.sum_x, report.sum_y),
+    )?;
     line(f, indent, "sha256", &report.events_sha256)?;
     for t in &report.triggers {
         let edges = format_args!("{} rising, {} falling", t.rising, t.falling);
@@ -99,7 +115,12 @@ fn recording(report: &RecordingReport, f: &mut Formatter<'_>) -> fmt::Result {
         raw(events, f, "  ")?;
     }
     if let Some(t) = &report.transfers {
-        line(f, "", "transfers", &format_args!("{} ({} bytes)", t.count, t.bytes))?;
+        line(
+            f,
+            "",
+            "transfers",
+            &format_args!("{} ({} bytes)", t.count, t.bytes),
+        )?;
     }
     if let Some(returns) = &report.lidar {
         write!(f, "  {:<NAME_LEN$} ", "lidar")?;
@@ -117,19 +138,32 @@ fn recording(report: &RecordingReport, f: &mut Formatter<'_>) -> fmt::Result {
     }
     line(f, "", "samples", &report.samples)?;
     let missing = report.missing.join(", ");
-    let missing = if missing.is_empty() { "nothing" } else { &missing };
+    let missing = if missing.is_empty() {
+        "nothing"
+    } else {
+        &missing
+    };
     line(f, "", "missing", &missing)
 }
 
 fn exposures(report: &ExposureReport, f: &mut Formatter<'_>) -> fmt::Result {
-    let ExposureReport { pulses, unpaired_edges, .. } = report;
+    let ExposureReport {
+        pulses,
+        unpaired_edges,
+        ..
+    } = report;
     let Some(channel) = report.strobe_channel else {
         return line(f, "", "exposures", &"no strobe");
     };
     let strobe = format!("{pulses} on trigger {channel}, {unpaired_edges} edges unpaired");
     match (report.width_us_min, report.width_us_max) {
         (Some(min), Some(max)) => {
-            line(f, "", "exposures", &format_args!("{strobe}, {min} to {max} us"))?;
+            line(
+                f,
+                "",
+                "exposures",
+                &format_args!("{strobe}, {min} to {max} us"),
+            )?;
         }
         _ => line(f, "", "exposures", &strobe)?,
     }
@@ -173,7 +207,11 @@ impl Display for Counted<'_> {
             write!(f, "{separator}{name} {count}")?;
             separator = ", ";
         }
-        if separator.is_empty() { f.write_str("none") } else { Ok(()) }
+        if separator.is_empty() {
+            f.write_str("none")
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -183,7 +221,11 @@ impl Display for Images<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
         let i = self.0;
         write!(f, "{} of {}x{}", i.count, i.width, i.height)?;
-        write!(f, " ({} lost, {} late, {} duplicate)", i.lost, i.late, i.duplicate)?;
+        write!(
+            f,
+            " ({} lost, {} late, {} duplicate)",
+            i.lost, i.late, i.duplicate
+        )?;
         match (i.first_ns, i.last_ns) {
             (Some(first), Some(last)) => write!(f, ", {}", Nanos(first, last)),
             _ => Ok(()),
@@ -203,7 +245,13 @@ impl Display for Can<'_> {
             ("errors", c.errors),
             ("unpaired", c.unpaired),
         ];
-        write!(f, "{} frames, {} of motion; others: {}", c.frames, c.motion, Counted(&kinds))
+        write!(
+            f,
+            "{} frames, {} of motion; others: {}",
+            c.frames,
+            c.motion,
+            Counted(&kinds)
+        )
     }
 }
 
