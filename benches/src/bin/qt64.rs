@@ -3,6 +3,12 @@
 //!
 //! `cargo run --release -p noctule-benches --bin qt64`; with `NOCTULE_DATA` set, the packets are
 //! those of `hesai/qt64.pcap` there, else they are generated.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::print_stdout,
+    reason = "table indices in range, and figures to print"
+)]
 
 use std::error::Error;
 use std::fs::File;

@@ -1,4 +1,10 @@
 //! Capture files: what is written reads back, in every dialect, and damage is located.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::unwrap_used,
+    reason = "made-up data, cut to size on purpose; a failure is a failed test"
+)]
 
 use noctule_hesai::pcap::{CaptureError, Reader, Skipped, Writer};
 use noctule_sensor::{Realtime, Stamp};

@@ -1,4 +1,10 @@
 //! Streams made by the encoder: exact round trips, loss, disorder, steps and damage.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::unwrap_used,
+    reason = "made-up data, cut to size on purpose; a failure is a failed test"
+)]
 
 use noctule_hesai::{
     Arrival, Correction, Decoder, FireTimes, Model, Options, Packet, Qt64Echoes, Qt64Encoder,
@@ -12,7 +18,7 @@ const PACKET_NS: u64 = 333_332;
 
 /// Echoes that differ from firing to firing.
 fn echoes(seed: usize) -> Qt64Echoes {
-    let word = |c: usize| (seed * 64 + c) * 2_654_435_761 >> 7;
+    let word = |c: usize| ((seed * 64 + c) * 2_654_435_761) >> 7;
     Qt64Echoes {
         distance: std::array::from_fn(|c| (1 + word(c) % 65_535) as u16),
         intensity: std::array::from_fn(|c| word(c) as u8),

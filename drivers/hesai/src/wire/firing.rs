@@ -67,7 +67,7 @@ const DISTANCE: u32 = 0xffff;
 const ECHO: u32 = 0xff_ffff;
 
 /// All channels of one block, as arrays of equal length: what a sink takes that works on whole
-/// vectors. See [`ReturnSink::on_block`].
+/// vectors. See [`ReturnSink::on_firing`].
 #[derive(Debug, Clone, Copy)]
 pub struct Block<'a> {
     /// Metres; 0 where there is no return.
@@ -202,7 +202,7 @@ impl<const C: usize, const STRIDE: usize, const R: usize, S: ReturnSink> WithSim
         let echo = echo
             .first_chunk_mut::<R>()
             .expect("a firing has at most three echoes");
-        let mut echoes = echo.each_mut().map(|all| lanes_of::<_, C>(all));
+        let mut echoes = echo.each_mut().map(lanes_of::<_, C>);
         let mut found = 0;
         for (r, echoes) in echoes.iter_mut().enumerate() {
             found += read::<C, STRIDE>(job.packet, job.block + r, echoes);
