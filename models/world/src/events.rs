@@ -138,8 +138,8 @@ impl EventSimulator {
     }
 
     /// Takes the frame at `t_us` (microseconds on the event camera's clock) and appends the
-    /// events since the frame before, in order of time, row, column. The first frame only sets
-    /// the pixels' state.
+    /// events since the frame before, in order of time, row, column (two intervals may share the
+    /// microsecond in which they meet). The first frame only sets the pixels' state.
     ///
     /// # Panics
     /// When `luminance` has not one value per pixel, or time does not advance.

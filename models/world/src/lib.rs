@@ -1,4 +1,25 @@
-//! The synthetic night.
+//! The synthetic night: seeded drives down a street, as real sensors would put them on the wire,
+//! with exact truth.
+//!
+//! ```
+//! use noctule_world::{Sample, Tier};
+//!
+//! let sample = Sample::render(101, Tier::A, 64);
+//! assert_eq!(sample.blur.len(), 3 * 64 * 64);
+//! assert_eq!(sample.depth.len(), 8 * 64 * 64);
+//! ```
+//!
+//! Three ways in:
+//!
+//! - [`Sample::render`]: one exposure for training or evaluation, straight on the network's grid.
+//! - [`record_drive`]: a whole drive as a recording directory: EVT 3.0, PandarQT64 datagrams,
+//!   blurred pictures, CAN frames, arrivals, clocks, and the truth.
+//! - [`Timeline::simulate`]: only the instants of such a drive, with every delay and fault.
+//!
+//! Everything is a pure function of a seed and time, the same bits with any number of threads.
+//! [`Scene`] and [`Snapshot`] are the world, [`render()`] draws it in tiles, [`EventSimulator`],
+//! [`Scanner`] and the camera look at it. There are no shadows, no light from surface to surface,
+//! no lens distortion and no weather.
 #![forbid(unsafe_code)]
 #![allow(
     clippy::cast_possible_truncation,

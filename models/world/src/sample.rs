@@ -171,6 +171,8 @@ impl Film {
         let (open, close) = (opening.open_ns, opening.close_ns);
         film.events
             .retain(|event| (open..close).contains(&event.t.as_nanos()));
+        // Two intervals may share the microsecond in which they meet.
+        film.events.sort_by_key(|event| (event.t, event.y, event.x));
         film
     }
 }
@@ -306,4 +308,42 @@ fn sparse_depth(
     }
     let centre = |k: usize| true_time((opening.step_centre(k) * 1e9).round() as u64);
     sparse::draw(&mut raster, (0..STEPS).map(centre))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Light adds up: developing the mean of all sub-frames is the mean of developing each.
+    #[test]
+    fn the_noise_free_blur_is_the_mean_of_sharp_frames_in_linear_light() {
+        let (seed, size) = (6, 64);
+        let opening = Shutter::new(seed, Tier::A).opening(2);
+        let (scene, optics) = (Scene::new(seed, 2.0, true), Optics::new(size));
+        let film = Film::shoot(seed, &scene, &opening, &optics);
+        let blur = Camera::expose(&film.mean, size, opening.seconds());
+        let mut mean = Frame::new(size).rgb;
+        let mut frame = Frame::new(size);
+        for i in 0..film.sub_frames {
+            let t = opening.at((i as f64 + 0.5) / film.sub_frames as f64);
+            render(
+                &scene,
+                &Snapshot::new(&scene, t, Horizon::CAMERA),
+                &optics,
+                &mut frame,
+            );
+            let sharp = Camera::expose(&frame.rgb, size, opening.seconds());
+            accumulate(&mut mean, &sharp, 1.0 / film.sub_frames as f32);
+        }
+        for (a, b) in blur.iter().flatten().zip(mean.iter().flatten()) {
+            assert!((a - b).abs() <= 1e-3 * b.max(1.0), "{a} and {b} electrons");
+        }
+        assert_eq!(film.steps.len(), STEPS);
+        let (open, close) = (opening.open_ns, opening.close_ns);
+        assert!(
+            film.events
+                .iter()
+                .all(|e| (open..close).contains(&e.t.as_nanos()))
+        );
+    }
 }
