@@ -1,4 +1,5 @@
 //! Noctule.
+pub mod bench;
 pub mod bus;
 pub mod config;
 pub mod digest;

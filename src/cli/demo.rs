@@ -1,12 +1,11 @@
 //! `noctule demo`: from nothing to depth maps on one command.
 
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
 
 use noctule_world::{DriveOptions, Tier};
 
 use super::replay::{How, replay};
-use super::{Failure, Outcome, stop_on_signals, world};
+use super::{Outcome, stop_on_signals, world};
 
 /// Arguments of `noctule demo`.
 #[derive(Debug, clap::Args)]
@@ -29,7 +28,6 @@ pub struct Arguments {
 
 /// Renders the drive, unless an earlier demo did, and replays it.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let stop = stop_on_signals()?;
     let out = arguments.how.out.clone().unwrap_or_else(|| PathBuf::from("out/demo"));
     let cache = arguments.cache.clone().unwrap_or_else(|| out.join("recordings"));
     let name = format!(
@@ -54,10 +52,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
             DriveOptions::new(arguments.seed, arguments.tier, world::seconds(arguments.seconds));
         world::render(&options, &recording)?;
     }
-    if stop.load(Ordering::Relaxed) {
-        return Err(Failure::Interrupted);
-    }
     let mut how = arguments.how.clone();
     how.out = Some(out);
-    replay(&recording, &how, &stop)
+    // Until here a signal simply ends the process: there is nothing to clear away.
+    replay(&recording, &how, &stop_on_signals()?)
 }

@@ -8,6 +8,7 @@ use noctule::config::Config;
 use noctule::frame::ModelId;
 use noctule::infer::{self, Engines, Ladder, Options};
 use noctule::latency::monotonic_ns;
+use noctule::supervise;
 
 use super::{Outcome, stop_on_signals};
 
@@ -26,12 +27,18 @@ pub struct Arguments {
     /// Take every bundle in order, run just this model, never drop
     #[arg(long)]
     lossless: bool,
+    /// Process that started this one: ends with it
+    #[arg(long, value_name = "PID", hide = true)]
+    parent: Option<u32>,
 }
 
 /// Runs until a signal comes; ends with one line of JSON that says what was done.
 #[expect(clippy::print_stdout, reason = "the report is this command's output")]
 pub fn run(arguments: &Arguments) -> Outcome {
     let stop = stop_on_signals()?;
+    if let Some(parent) = arguments.parent {
+        supervise::end_with(parent)?;
+    }
     let mut config = match &arguments.config {
         Some(path) => Config::load(path)?,
         None => Config::default(),

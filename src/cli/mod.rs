@@ -3,6 +3,7 @@
 //! Exit codes: 0 the work was done; 1 it could not be done, or a gate was missed (the reason is on
 //! standard error); 2 the arguments are wrong; 130 it was interrupted and ended cleanly.
 
+mod bench;
 mod check;
 mod demo;
 // mod export;
@@ -48,6 +49,8 @@ enum Command {
     // Inspect(inspect::Arguments),
     // /// Converts a file to formats other programs read
     // Export(export::Arguments),
+    /// Measures whole paths on this machine
+    Bench(bench::Arguments),
     /// Checks a configuration file
     Check(check::Arguments),
     /// Describes the networks, or compares one with reference outputs
@@ -83,6 +86,7 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Command::World(a) => world::run(&a),
         // Command::Inspect(a) => inspect::run(&a),
         // Command::Export(a) => export::run(&a),
+        Command::Bench(a) => bench::run(&a),
         Command::Check(a) => check::run(&a),
         Command::Weights(a) => weights::run(&a),
     };
