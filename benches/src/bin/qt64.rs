@@ -287,7 +287,7 @@ fn generated() -> Result<Vec<Vec<u8>>, Box<dyn Error>> {
     let mut encoder = Qt64Encoder::new(ReturnMode::FirstLast, 600, 0)?;
     let firing = |n: u16| {
         let mut echoes = Qt64Echoes::NONE;
-        for c in (0..64u8).filter(|c| (u16::from(*c) + n) % 30 != 0) {
+        for c in (0..64u8).filter(|c| !(u16::from(*c) + n).is_multiple_of(30)) {
             echoes.set(usize::from(c), 2.0 + f32::from(n % 300) * 0.02, c);
         }
         (n % 600 * 60, [echoes; 2])
