@@ -153,6 +153,11 @@ impl Evt3Decoder {
             .then(|| Stamp::from_nanos(self.t_ns().saturating_sub(STEP_BACK_US_MAX * 1000)))
     }
 
+    /// Whether time and row are known, so that events need no more than a column.
+    pub(super) const fn is_ready(&self) -> bool {
+        self.time_high.is_known() && self.state.y != NO_ROW
+    }
+
     /// Takes one word, whatever it is.
     pub(super) fn word(&mut self, word: u16, sink: &mut impl EventSink) {
         self.tally.words += 1;
@@ -241,7 +246,7 @@ impl Evt3Decoder {
         self.pixels(base_x, self.state.base_on, mask, sink);
     }
 
-    /// Delivers the events of one event word: one for each bit of `mask`, at `x` plus its index.
+    /// Checks and delivers the events of one event word: one for each bit of `mask`, at `x` plus its index.
     fn pixels(&mut self, x: u16, on: bool, mask: u32, sink: &mut impl EventSink) {
         if self.state.y == NO_ROW {
             self.errors.missing_y += 1;
@@ -259,8 +264,14 @@ impl Evt3Decoder {
             self.tally.out_of_bounds += 1;
             self.errors.out_of_bounds += u64::from((mask ^ inside).count_ones());
         }
+        self.deliver(x, on, inside, sink);
+    }
+
+    /// Delivers one event for each bit of `mask`, at `x` plus its index, all inside the sensor.
+    #[inline(always)]
+    pub(super) fn deliver(&self, x: u16, on: bool, mask: u32, sink: &mut impl EventSink) {
         let (t, y) = (Stamp::from_nanos(self.t_ns()), self.state.y);
-        let mut rest = inside;
+        let mut rest = mask;
         while rest != 0 {
             // At most 31, and `x` plus it lies inside the sensor.
             let x = x + u16::from(rest.trailing_zeros().to_le_bytes()[0]);

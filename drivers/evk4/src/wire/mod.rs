@@ -9,6 +9,7 @@ mod encoder;
 mod evt2;
 mod evt21;
 mod evt3;
+mod evt3_batch;
 mod evt3_run;
 mod rate;
 mod sink;

@@ -114,10 +114,12 @@ proptest! {
     fn likely_words_decode_as_the_model_says(
         bytes in likely_words(),
         cuts in vec(1_usize..40, 1..8),
+        long_cuts in vec(1_usize..400, 1..8),
         geometry in geometry(),
     ) {
         check_against_model(&bytes, geometry, &[usize::MAX]);
         check_against_model(&bytes, geometry, &cuts);
+        check_against_model(&bytes, geometry, &long_cuts);
     }
 
     #[test]
