@@ -261,6 +261,12 @@ fn paired_edges_hold_to_microseconds() {
             &mut uniform,
         );
     }
+    // A driver that stamps frames in its interrupt handler is late, never early.
+    let mut late = Score::default();
+    for seed in 101..=100 + 4 * SEEDS {
+        strobe_run(seed, |chance| chance.exponential(20e3), &mut late);
+    }
+    late.assert_honest("strobe, exponential 20 us", 5e3);
     uniform.report("strobe, uniform 20 us");
     score.assert_honest("strobe, normal 20 us", 5e3);
     uniform.assert_honest("strobe, uniform 20 us", 5e3);

@@ -48,6 +48,8 @@ impl HostClocks {
                 suspects_max: 2,
                 silence_ns: 30_000_000_000,
                 wander_ppb: 0,
+                may_lag: false,
+                tick_ns: 0,
             }),
             tai: None,
             tai_epoch: 0,

@@ -71,7 +71,7 @@ impl Line {
 }
 
 /// A point is an outlier when it is further from the line than this many noise deviations.
-const REJECT: f64 = 6.0;
+pub(super) const REJECT: f64 = 6.0;
 /// Rounds of rejecting and fitting again; the set of outliers settles in two or three.
 const ROUNDS: usize = 4;
 
