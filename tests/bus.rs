@@ -45,8 +45,8 @@ fn overwritten_frames_are_counted_as_a_gap() {
     send(0);
     assert_eq!(receiver.receive().unwrap().unwrap().header().frame, 0);
     (1..=5).for_each(send);
-    let (newest, stale) = receiver.receive_newest().unwrap().unwrap();
-    assert_eq!((newest.header().frame, stale), (5, 1));
+    let newest = receiver.receive_newest().unwrap().unwrap();
+    assert_eq!((newest.frame.header().frame, newest.passed_over), (5, 1));
     assert_eq!((receiver.received(), receiver.lost()), (3, 3));
 }
 

@@ -145,6 +145,15 @@ impl<S: Service, H: Header> Received<S, H> {
     }
 }
 
+/// The newest queued sample.
+#[derive(Debug)]
+pub struct Newest<S: Service, H: Header> {
+    /// The sample.
+    pub frame: Received<S, H>,
+    /// How many older ones were passed over for it.
+    pub passed_over: u64,
+}
+
 /// The receiving end of a channel; stays on the thread that made it.
 #[derive(Debug)]
 pub struct Receiver<S: Service, H: Header> {
@@ -192,18 +201,18 @@ impl<S: Service, H: Header> Receiver<S, H> {
         }))
     }
 
-    /// The newest queued frame, and how many older ones were passed over for it.
+    /// The newest queued frame.
     ///
     /// # Errors
     /// When the transport fails.
-    pub fn receive_newest(&self) -> Result<Option<(Received<S, H>, u64)>, BusError> {
-        let Some(mut newest) = self.receive()? else { return Ok(None) };
-        let mut stale = 0;
+    pub fn receive_newest(&self) -> Result<Option<Newest<S, H>>, BusError> {
+        let Some(mut frame) = self.receive()? else { return Ok(None) };
+        let mut passed_over = 0;
         while let Some(newer) = self.receive()? {
-            newest = newer;
-            stale += 1;
+            frame = newer;
+            passed_over += 1;
         }
-        Ok(Some((newest, stale)))
+        Ok(Some(Newest { frame, passed_over }))
     }
 
     /// Sleeps until something was sent or `limit` has passed.

@@ -10,7 +10,7 @@ mod channel;
 mod instance;
 mod owner;
 
-pub use channel::{Header, Loan, Received, Receiver, Sender};
+pub use channel::{Header, Loan, Newest, Received, Receiver, Sender};
 pub use instance::{Instance, InstanceName};
 pub use owner::{ChannelLimits, Limits, Owner, Ports};
 

@@ -6,10 +6,10 @@
 mod bench;
 mod check;
 mod demo;
-// mod export;
+mod export;
 mod host;
 mod infer;
-// mod inspect;
+mod inspect;
 mod progress;
 mod replay;
 mod weights;
@@ -45,10 +45,10 @@ enum Command {
     Infer(infer::Arguments),
     /// Renders a recording of a synthetic night drive, with exact truth
     World(world::Arguments),
-    // /// Says what is in RAW files, packet captures and recordings
-    // Inspect(inspect::Arguments),
-    // /// Converts a file to formats other programs read
-    // Export(export::Arguments),
+    /// Says what is in RAW files, packet captures and recordings
+    Inspect(inspect::Arguments),
+    /// Converts a file to formats other programs read
+    Export(export::Arguments),
     /// Measures whole paths on this machine
     Bench(bench::Arguments),
     /// Checks a configuration file
@@ -84,8 +84,8 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Command::Host(a) => host::run(&a),
         Command::Infer(a) => infer::run(&a),
         Command::World(a) => world::run(&a),
-        // Command::Inspect(a) => inspect::run(&a),
-        // Command::Export(a) => export::run(&a),
+        Command::Inspect(a) => inspect::run(&a),
+        Command::Export(a) => export::run(&a),
         Command::Bench(a) => bench::run(&a),
         Command::Check(a) => check::run(&a),
         Command::Weights(a) => weights::run(&a),

@@ -49,6 +49,9 @@ pub struct HostLatency {
     pub decided_to_sent: Latency,
 }
 
+/// An image block lent by its lane, handed on as it is.
+type ImageLease = Box<ImageBlock>;
+
 /// The host's core.
 pub struct Assembler<O: Outlet> {
     layout: BundleLayout,
@@ -64,9 +67,9 @@ pub struct Assembler<O: Outlet> {
     sparse: Option<SparseRaster>,
     planes: Option<(ImagePlanes, Grid)>,
     bay: Bay<O::Slot>,
-    images: Vec<Box<ImageBlock>>,
+    images: Vec<ImageLease>,
     images_held: usize,
-    returned: Vec<Box<ImageBlock>>,
+    returned: Vec<ImageLease>,
     said: Vec<ExposureEvent>,
     decided: Vec<BundleDecision>,
     events_passed: Option<Stamp<Evk4>>,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use iceoryx2::service::Service;
 
 use super::{Choice, Engines, InferError, InferReport, Ladder, Run, Rung};
-use crate::bus::{Ports, Received, Receiver, Sender};
+use crate::bus::{Newest, Ports, Received, Receiver, Sender};
 use crate::frame::{
     BundleHeader, BundleLayout, BundlePlanes, DepthHeader, InferStages, ModelId, flag,
 };
@@ -36,12 +36,12 @@ pub fn run<S: Service>(
     let sender = ports.depth_sender()?;
     let mut process = Process { ladder, options, now_ns, sender, report: InferReport::default(), frame: 0 };
     while !stop.load(Ordering::Relaxed) {
-        let Some((bundle, passed_over)) = process.next(&receiver)? else {
+        let Some(Newest { frame, passed_over }) = process.next(&receiver)? else {
             receiver.wait(Duration::from_millis(50))?;
             continue;
         };
         process.report.bundles_stale += passed_over;
-        process.sequence(engines, &bundle, stop)?;
+        process.sequence(engines, &frame, stop)?;
     }
     process.report.bundles_received = receiver.received();
     process.report.bundles_lost = receiver.lost();
@@ -58,13 +58,12 @@ struct Process<'a, S: Service> {
 }
 
 impl<S: Service> Process<'_, S> {
-    #[expect(clippy::type_complexity, reason = "a bundle and how many were passed over for it")]
     fn next(
         &self,
         receiver: &Receiver<S, BundleHeader>,
-    ) -> Result<Option<(Received<S, BundleHeader>, u64)>, InferError> {
+    ) -> Result<Option<Newest<S, BundleHeader>>, InferError> {
         if self.options.lossless {
-            return Ok(receiver.receive()?.map(|bundle| (bundle, 0)));
+            return Ok(receiver.receive()?.map(|frame| Newest { frame, passed_over: 0 }));
         }
         Ok(receiver.receive_newest()?)
     }
