@@ -49,6 +49,9 @@ pub enum ConfigError {
     },
 }
 
+/// Refuses a key's value for a reason.
+type Refuse<'a> = dyn Fn(&'static str, &dyn ToString, &str) -> Result<(), ConfigError> + 'a;
+
 /// The whole configuration.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -353,6 +356,9 @@ impl Config {
             let reason = "auto, qt64, qt128, xt32, xt16, xt32m, pandar64 or pandar40p";
             return refuse("lidar.model", &self.lidar.model, reason);
         }
+        if let Err(error) = noctule_can::MotionDecoder::new(&self.can) {
+            return refuse("can", &"speed, yaw_rate", &error.to_string());
+        }
         for (model, path) in &self.infer.weights {
             if *model < ModelId::Xs {
                 return refuse("infer.weights", &path.display(), "only xs, s and full have weights");
@@ -367,7 +373,7 @@ impl Config {
 
     fn validate_lanes(
         &self,
-        refuse: &dyn Fn(&'static str, &dyn ToString, &str) -> Result<(), ConfigError>,
+        refuse: &Refuse<'_>,
     ) -> Result<(), ConfigError> {
         let lanes = &self.lanes;
         for (key, blocks, least) in [

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, getppid, kill_process, set_parent_process_death_signal};
 use serde::de::DeserializeOwned;
 
 /// How often a child that dies is started again.
@@ -47,7 +47,21 @@ pub enum SuperviseError {
     },
 }
 
-/// A child process under watch.
+/// Has this process told to end (SIGTERM) when its parent `id` dies, however it dies: one that was
+/// killed can tell nobody, and a child left alone would hold the instance's name.
+///
+/// # Errors
+/// When the kernel refuses, or the parent is gone already.
+pub fn end_with(id: u32) -> std::io::Result<()> {
+    set_parent_process_death_signal(Some(Signal::TERM))?;
+    if getppid().is_some_and(|parent| i64::from(parent.as_raw_nonzero().get()) == i64::from(id)) {
+        return Ok(());
+    }
+    Err(std::io::Error::other(format!("parent process {id} is gone")))
+}
+
+/// A child process under watch. The thread that starts it must live as long as the child may: the
+/// kernel takes that thread's end for the parent's.
 #[derive(Debug)]
 pub struct Supervised {
     name: &'static str,

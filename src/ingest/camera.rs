@@ -4,7 +4,7 @@ use noctule_camera::SequenceMonitor;
 use noctule_recording::Recording;
 use noctule_sensor::{Realtime, Stamp};
 
-use super::{Flow, IngestError, Ingested};
+use super::{Flow, IngestError, Ingested, file_faults};
 use crate::host::ImageBlock;
 use crate::lane::Producer;
 use crate::latency::StreamRow;
@@ -21,7 +21,8 @@ pub fn run(
     let mut monitor = SequenceMonitor::new();
     let mut arrival = Stamp::<Realtime>::ZERO;
     let (mut received, mut shed, mut unreadable) = (0, 0, 0);
-    for row in recording.images()? {
+    let mut rows = recording.images()?;
+    for row in rows.by_ref() {
         let row = row?;
         arrival = arrival.max(row.stamp.arrival);
         lane.promise(arrival);
@@ -53,16 +54,21 @@ pub fn run(
         lane.push(block);
     }
     let counts = monitor.counts();
+    let faults = rows.faults();
+    // Those at the end leave no gap in the camera's own numbers.
+    let lost = counts.lost + faults.absent_rows;
+    let mut details = vec![("late", counts.late), ("duplicate", counts.duplicate)];
+    details.extend(file_faults(faults));
     Ok(Ingested {
         row: StreamRow {
             stream: "images",
             unit: "images",
-            offered: received + shed + unreadable + counts.lost,
+            offered: received + shed + unreadable + lost,
             received,
-            lost: counts.lost,
+            lost,
             shed,
             rejected: unreadable,
         },
-        details: vec![("late", counts.late), ("duplicate", counts.duplicate)],
+        details,
     })
 }

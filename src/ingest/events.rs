@@ -5,7 +5,7 @@ use noctule_raster::PackedEvent;
 use noctule_recording::EventTransfers;
 use noctule_sensor::{Event, Evk4, Realtime, Stamp, TriggerEdge};
 
-use super::{Flow, IngestError, Ingested};
+use super::{Flow, IngestError, Ingested, file_faults};
 use crate::host::{EdgeMark, EventBlock};
 use crate::lane::{Producer, WhenFull};
 use crate::latency::StreamRow;
@@ -50,6 +50,7 @@ pub fn run(
     let mut details = vec![("transfers", transfer_count), ("bytes", bytes), ("unpackable", unpackable)];
     details.extend(errors.by_kind());
     details.push(("dropped_by_sensor", decoder.rate().dropped()));
+    details.extend(file_faults(transfers.faults()));
     Ok(Ingested {
         row: StreamRow {
             stream: "events",

@@ -4,7 +4,7 @@ use noctule_hesai::{Arrival, Decoder, Options};
 use noctule_recording::Datagrams;
 use noctule_sensor::{Realtime, Stamp};
 
-use super::{Flow, IngestError, Ingested};
+use super::{Flow, IngestError, Ingested, file_faults};
 use crate::host::ReturnBlock;
 use crate::lane::Producer;
 use crate::latency::StreamRow;
@@ -76,13 +76,17 @@ pub fn run(
         ("not_for_us", skipped.total()),
     ];
     details.extend(counts.rejected.iter());
+    let faults = datagrams.faults();
+    details.extend(file_faults(faults));
+    // Those at the end leave no gap in the sensor's own numbers.
+    let lost = counts.lost + faults.absent_rows;
     Ok(Ingested {
         row: StreamRow {
             stream: "lidar",
             unit: "packets",
-            offered: counts.packets + counts.lost + shed + counts.rejected.total(),
+            offered: counts.packets + lost + shed + counts.rejected.total(),
             received: counts.packets,
-            lost: counts.lost,
+            lost,
             shed,
             rejected: counts.rejected.total(),
         },

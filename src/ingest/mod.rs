@@ -18,7 +18,7 @@ pub use pace::{Pace, Pacer};
 
 use std::sync::atomic::AtomicBool;
 
-use noctule_recording::RecordingError;
+use noctule_recording::{Faults, RecordingError};
 
 use crate::lane::WhenFull;
 use crate::latency::StreamRow;
@@ -43,6 +43,18 @@ pub struct Ingested {
     pub row: StreamRow,
     /// Further counts by name, those of faults among them.
     pub details: Vec<(&'static str, u64)>,
+}
+
+/// What a recording's files lack, by name; only what is not zero.
+fn file_faults(faults: Faults) -> impl Iterator<Item = (&'static str, u64)> {
+    [
+        ("truncated_rows", faults.truncated_rows),
+        ("truncated_bytes", faults.truncated_bytes),
+        ("unlisted_bytes", faults.unlisted_bytes),
+        ("absent_rows", faults.absent_rows),
+    ]
+    .into_iter()
+    .filter(|(_, count)| *count > 0)
 }
 
 /// Why a stream ended before its time.

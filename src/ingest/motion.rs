@@ -4,7 +4,7 @@ use noctule_can::{MotionConfig, MotionDecoder};
 use noctule_recording::Recording;
 use noctule_sensor::{Realtime, Stamp};
 
-use super::{Flow, IngestError, Ingested};
+use super::{Flow, IngestError, Ingested, file_faults};
 use crate::host::MotionBlock;
 use crate::lane::Producer;
 use crate::latency::StreamRow;
@@ -71,21 +71,24 @@ pub fn run(
         }
     }
     let counts = decoder.counts();
+    let faults = frames.map(|f| f.faults()).unwrap_or_default();
+    let mut details = vec![
+        ("samples", samples),
+        ("clock_readings", reading_count),
+        ("unknown", counts.unknown),
+    ];
+    details.extend(file_faults(faults));
     Ok(Ingested {
         row: StreamRow {
             stream: "motion",
             unit: "frames",
-            offered: frame_count,
+            offered: frame_count + faults.absent_rows,
             received: frame_count,
-            lost: 0,
+            lost: faults.absent_rows,
             shed,
             rejected: counts.short + counts.error,
         },
-        details: vec![
-            ("samples", samples),
-            ("clock_readings", reading_count),
-            ("unknown", counts.unknown),
-        ],
+        details,
     })
 }
 

@@ -10,15 +10,51 @@ use crate::bus::{BusError, Ports, Received, Receiver};
 use crate::frame::{BundleHeader, DepthHeader};
 use crate::latency::monotonic_ns;
 
-/// Lets a lossless run send only as fast as everything is consumed.
+/// Lets a lossless run send only as fast as everything is consumed, and tells how far a run is.
 #[derive(Debug, Default)]
 pub struct Gate {
-    /// Sequences whose last depth map the observer has seen.
-    pub finished: AtomicU64,
+    /// One past the last sequence let through.
+    passed: AtomicU64,
+    /// One past the last sequence whose bundle the observer has seen.
+    begun: AtomicU64,
+    /// One past the last sequence whose last depth map the observer has seen.
+    finished: AtomicU64,
     /// Bundles the observer has seen.
     pub bundles_seen: AtomicU64,
     /// Depth frames the observer has seen: shows life.
     pub frames_seen: AtomicU64,
+}
+
+// Every Acquire pairs with the Release of whoever saw or sent the frame.
+impl Gate {
+    /// Whether everything that was let through has been seen and finished.
+    #[must_use]
+    pub fn is_clear(&self) -> bool {
+        let passed = self.passed.load(Ordering::Acquire);
+        self.begun.load(Ordering::Acquire) >= passed
+            && self.finished.load(Ordering::Acquire) >= passed
+    }
+
+    /// Whether the last bundle seen is finished.
+    #[must_use]
+    pub fn is_finished(&self) -> bool {
+        self.finished.load(Ordering::Acquire) >= self.begun.load(Ordering::Acquire)
+    }
+
+    /// The bundle of this number is about to be sent.
+    pub fn passes(&self, sequence: u64) {
+        self.passed.fetch_max(sequence + 1, Ordering::Release);
+    }
+
+    /// Stops waiting for what was let through so far: whoever had it is dead.
+    pub fn give_up(&self) {
+        self.finished.fetch_max(self.passed.load(Ordering::Acquire), Ordering::Release);
+    }
+
+    fn bundle(&self, sequence: u64) {
+        self.begun.fetch_max(sequence + 1, Ordering::Release);
+        self.bundles_seen.fetch_add(1, Ordering::Release);
+    }
 }
 
 /// What to keep.
@@ -52,19 +88,19 @@ pub fn watch<S: Service>(
         let mut idle = true;
         while let Some(bundle) = bundles.receive()? {
             observer.bundle(&bundle);
-            gate.bundles_seen.fetch_add(1, Ordering::Release);
+            gate.bundle(bundle.header().sequence);
             idle = false;
         }
         // A bundle is sent before its depth, so it is seen first, except across a restart.
         while let Some(depth) = depths.receive()? {
             if observer.depth(&depth) {
-                gate.finished.fetch_add(1, Ordering::Release);
+                gate.finished.fetch_max(depth.header().sequence + 1, Ordering::Release);
             }
             gate.frames_seen.fetch_add(1, Ordering::Release);
             idle = false;
             if let Some(bundle) = bundles.receive()? {
                 observer.bundle(&bundle);
-                gate.bundles_seen.fetch_add(1, Ordering::Release);
+                gate.bundle(bundle.header().sequence);
             }
         }
         if !idle {

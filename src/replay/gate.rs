@@ -9,37 +9,29 @@ use crate::frame::BundleHeader;
 use crate::host::Outlet;
 use crate::observe::Gate;
 
-/// Bundles on their way at once.
-const IN_FLIGHT_MAX: u64 = 1;
-
 /// Wraps an outlet; with a gate, every send waits until the sequences before it are finished.
 pub struct GatedOutlet<O: Outlet> {
     inner: O,
     gate: Option<(Arc<Gate>, Arc<AtomicBool>)>,
-    sent: u64,
 }
 
 impl<O: Outlet> GatedOutlet<O> {
     /// No gate: sends at once.
     pub fn open(inner: O) -> Self {
-        Self { inner, gate: None, sent: 0 }
+        Self { inner, gate: None }
     }
 
     /// Waits at `gate`; gives up waiting when `stop` is set.
     pub fn gated(inner: O, gate: Arc<Gate>, stop: Arc<AtomicBool>) -> Self {
-        Self { inner, gate: Some((gate, stop)), sent: 0 }
+        Self { inner, gate: Some((gate, stop)) }
     }
 
-    fn wait(&self) {
+    fn wait(&self, sequence: u64) {
         let Some((gate, stop)) = &self.gate else { return };
-        let ready = || {
-            // Acquire pairs with the observer's Release.
-            gate.finished.load(Ordering::Acquire) + IN_FLIGHT_MAX > self.sent
-                && gate.bundles_seen.load(Ordering::Acquire) + IN_FLIGHT_MAX > self.sent
-        };
-        while !ready() && !stop.load(Ordering::Relaxed) {
+        while !gate.is_clear() && !stop.load(Ordering::Relaxed) {
             std::thread::sleep(Duration::from_micros(200));
         }
+        gate.passes(sequence);
     }
 }
 
@@ -51,8 +43,7 @@ impl<O: Outlet> Outlet for GatedOutlet<O> {
     }
 
     fn send(&mut self, slot: Self::Slot, header: BundleHeader) -> Result<BundleHeader, BusError> {
-        self.wait();
-        self.sent += 1;
+        self.wait(header.sequence);
         self.inner.send(slot, header)
     }
 

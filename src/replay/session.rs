@@ -15,10 +15,12 @@ use crate::frame::ModelId;
 use crate::host::BusOutlet;
 use crate::infer::InferReport;
 use crate::observe::{Gate, Observed, Watch, watch};
-use crate::supervise::Supervised;
+use crate::supervise::{SuperviseError, Supervised};
 
 /// How long the inference process may take to load and warm its models.
 const READY_WITHIN: Duration = Duration::from_secs(120);
+/// Receivers of bundles: inference and the observer.
+const RECEIVERS: usize = 2;
 /// How often the supervisor looks.
 const LOOK: Duration = Duration::from_millis(20);
 
@@ -63,30 +65,24 @@ impl Session {
     ) -> Result<Self, ReplayError> {
         let instance = config.instance();
         let owner = Owner::<Ipc>::create(instance.clone(), config.limits())?;
-        let mut infer =
+        let child =
             Supervised::start("infer", options.program.clone(), infer_arguments(config, options))?;
         let gate = Arc::new(Gate::default());
-        let (watching, host_done) = (AtomicBool::new(false), AtomicBool::new(false));
+        let mut infer = Inference { child, owner: &owner, gate: &gate, returning: false };
+        let (watching, all_done) = (AtomicBool::new(false), AtomicBool::new(false));
         let keep = Watch { keep: options.keep, digest: true, linger: Duration::from_millis(300) };
 
-        let (host, observed, infer) = thread::scope(|scope| {
+        let (host, observed) = thread::scope(|scope| {
+            let done = SetOnDrop(&all_done);
             let observer = scope.spawn(|| {
                 let ports = Ports::<Ipc>::open(instance.clone(), "observer", config.limits())?;
-                watch(&ports, keep, &gate, &watching, &host_done)
+                watch(&ports, keep, &gate, &watching, &all_done)
             });
-            let host = scope.spawn(|| {
-                let done = SetOnDrop(&host_done);
-                let host = host_thread(prepared, config, options, &gate, stop, &watching);
-                drop(done);
-                host
-            });
+            let host =
+                scope.spawn(|| host_thread(prepared, config, options, &gate, stop, &watching));
             let mut failed = None;
             while !host.is_finished() {
-                if let Err(error) = infer.watch().inspect(|restarted| {
-                    if *restarted {
-                        owner.clean_dead();
-                    }
-                }) {
+                if let Err(error) = infer.look_after(stop) {
                     failed = Some(error);
                     stop.store(true, Ordering::Relaxed);
                     break;
@@ -99,18 +95,19 @@ impl Session {
             }
             let host = host.join().map_err(|_| ReplayError::Thread("host"))?;
             if failed.is_none() {
-                wait_for_frames(&gate, config, options, stop);
+                failed = wait_for_frames(&mut infer, config, options, stop).err();
             }
+            drop(done);
             let observed = observer.join().map_err(|_| ReplayError::Thread("observer"))?;
             if let Some(error) = failed {
                 return Err(error.into());
             }
-            Ok::<_, ReplayError>((host?, observed?, infer))
+            Ok::<_, ReplayError>((host?, observed?))
         })?;
 
-        let restarts = infer.restarts();
+        let restarts = infer.child.restarts();
         let mut inferred = InferReport::default();
-        for life in infer.finish::<InferReport>() {
+        for life in infer.child.finish::<InferReport>() {
             inferred.add(&life);
         }
         owner.clean_dead();
@@ -128,6 +125,34 @@ impl Drop for SetOnDrop<'_> {
     }
 }
 
+/// The inference process under watch.
+struct Inference<'a> {
+    child: Supervised,
+    owner: &'a Owner<Ipc>,
+    gate: &'a Gate,
+    /// It was started again and has not opened its ports yet.
+    returning: bool,
+}
+
+impl Inference<'_> {
+    /// Starts it again if it died.
+    fn look_after(&mut self, stop: &AtomicBool) -> Result<(), SuperviseError> {
+        // An interrupt from the keyboard ends the child too, and that is no accident.
+        if stop.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        if self.child.watch()? {
+            self.owner.clean_dead();
+            self.returning = true;
+        }
+        if self.returning && self.owner.ports().bundle_receivers() >= RECEIVERS {
+            self.gate.give_up();
+            self.returning = false;
+        }
+        Ok(())
+    }
+}
+
 fn infer_arguments(config: &Config, options: &SessionOptions) -> Vec<String> {
     let mut arguments = vec!["infer".to_owned(), "--instance".to_owned(), config.instance.clone()];
     if let Some(path) = &options.config_path {
@@ -139,6 +164,7 @@ fn infer_arguments(config: &Config, options: &SessionOptions) -> Vec<String> {
     if options.lossless {
         arguments.push("--lossless".to_owned());
     }
+    arguments.extend(["--parent".to_owned(), std::process::id().to_string()]);
     arguments
 }
 
@@ -153,7 +179,7 @@ fn host_thread(
 ) -> Result<crate::host::HostReport, ReplayError> {
     let ports = Ports::<Ipc>::open(config.instance(), "host", config.limits())?;
     let waited = Instant::now();
-    while !(watching.load(Ordering::Acquire) && ports.bundle_receivers() >= 2) {
+    while !(watching.load(Ordering::Acquire) && ports.bundle_receivers() >= RECEIVERS) {
         if stop.load(Ordering::Relaxed) {
             break;
         }
@@ -171,13 +197,23 @@ fn host_thread(
     run_host(prepared, config, outlet, options.host, stop)
 }
 
-/// Leaves inference the time to end the last sequence; the observer lingers by itself.
-fn wait_for_frames(gate: &Gate, config: &Config, options: &SessionOptions, stop: &AtomicBool) {
-    let asked = Instant::now();
+/// Leaves inference the time to end the last sequence; a lossless run as long as frames come.
+fn wait_for_frames(
+    infer: &mut Inference<'_>,
+    config: &Config,
+    options: &SessionOptions,
+    stop: &AtomicBool,
+) -> Result<(), SuperviseError> {
+    let gate = infer.gate;
     let patience = if options.lossless { READY_WITHIN } else { config.budget.depth() };
-    let all_done =
-        || gate.finished.load(Ordering::Acquire) >= gate.bundles_seen.load(Ordering::Acquire);
-    while !all_done() && asked.elapsed() < patience && !stop.load(Ordering::Relaxed) {
+    let (mut since, mut frames) = (Instant::now(), 0);
+    while !gate.is_finished() && since.elapsed() < patience && !stop.load(Ordering::Relaxed) {
         thread::sleep(LOOK);
+        infer.look_after(stop)?;
+        let seen = gate.frames_seen.load(Ordering::Relaxed);
+        if options.lossless && seen > frames {
+            (since, frames) = (Instant::now(), seen);
+        }
     }
+    Ok(())
 }
