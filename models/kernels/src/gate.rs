@@ -1,0 +1,203 @@
+//! Convolution to a single channel and a logistic function: confidence planes and depth.
+//!
+//! With one output the lanes hold input channels; they are summed at the end of each pixel.
+
+use std::ops::Range;
+
+use crate::activation::sigmoid;
+use crate::conv::{InBlock, consecutive, in_blocks};
+use crate::element::Element;
+use crate::layout::{Frame, Place};
+use crate::memory::Memory;
+use crate::simd::{Kernel, LANES, Simd};
+
+/// Pixels summed at once.
+const STRIP: usize = 8;
+
+/// A gate ready to run: `c = sigmoid(conv(inputs))`.
+pub(crate) struct GateOp<E: Element> {
+    inputs: Vec<InBlock>,
+    kernel: usize,
+    /// `[block][ky][kx][16]`, single precision.
+    weights: Memory,
+    bias: f32,
+    width: usize,
+    pub(crate) height: usize,
+    /// Where `c` goes within the arena, in single-precision numbers; rows without padding.
+    plane: Option<usize>,
+    /// The caller's slice that receives `c * scale`.
+    output: Option<(usize, f32)>,
+    /// `(from, to)`: `to = c * from`, channel by channel.
+    kept: Option<(Place, Place)>,
+    format: std::marker::PhantomData<E>,
+}
+
+/// What a gate does with its plane.
+pub(crate) struct GateTargets {
+    pub(crate) plane: Option<usize>,
+    pub(crate) output: Option<(usize, f32)>,
+    pub(crate) kept: Option<(Place, Place)>,
+}
+
+impl<E: Element> GateOp<E> {
+    /// `weight` is `[1, I, kernel, kernel]`.
+    pub(crate) fn new(
+        inputs: &[Place],
+        weight: &[f32],
+        bias: f32,
+        kernel: usize,
+        targets: GateTargets,
+    ) -> Self {
+        let taps = kernel * kernel;
+        let mut packed = Vec::new();
+        for lanes in consecutive(inputs.iter().map(|place| place.channels)) {
+            for tap in 0..taps {
+                let value = |l: usize| lanes.get(l).map_or(0.0, |&c| weight[c * taps + tap]);
+                packed.extend((0..LANES).map(value));
+            }
+        }
+        let size = inputs[0].size;
+        Self {
+            inputs: in_blocks::<E>(inputs),
+            kernel,
+            weights: Memory::from_values(&packed),
+            bias,
+            width: size.width,
+            height: size.height,
+            plane: targets.plane,
+            output: targets.output,
+            kept: targets.kept,
+            format: std::marker::PhantomData,
+        }
+    }
+
+    pub(crate) fn weight_bytes(&self) -> usize {
+        self.weights.len()
+    }
+
+    /// Working memory per thread, in bytes: one row, whole vectors.
+    pub(crate) fn scratch_bytes(&self) -> usize {
+        self.width.next_multiple_of(LANES) * size_of::<f32>()
+    }
+
+    /// # Safety
+    /// As for a convolution; `frame.scratch` has the room asked for.
+    pub(crate) unsafe fn run<S: Simd>(&self, frame: &Frame, rows: Range<usize>) {
+        let kernel = GateRows {
+            op: self,
+            frame,
+            rows,
+        };
+        // SAFETY: passed on from the caller.
+        unsafe { S::vectorize(kernel) }
+    }
+
+    /// Sums of `N` pixels from column `x` of row `y`.
+    ///
+    /// # Safety
+    /// As for `run`; the pixels lie within the row.
+    #[inline(always)]
+    unsafe fn strip<S: Simd, const N: usize>(&self, frame: &Frame, y: usize, x: usize) -> [f32; N] {
+        let reach = self.kernel / 2;
+        // SAFETY: the halo covers the windows; the weights are as many as blocks and taps.
+        unsafe {
+            let base = frame.arena.cast::<E::T>().cast_const();
+            let mut weights = self.weights.as_ptr().cast::<f32>();
+            let mut sums = [S::splat(0.0); N];
+            for block in &self.inputs {
+                let corner = block.origin + y * block.row + x * LANES;
+                let corner = base.add(corner - reach * block.row - reach * LANES);
+                for ky in 0..self.kernel {
+                    for kx in 0..self.kernel {
+                        let w = S::load(weights);
+                        weights = weights.add(LANES);
+                        let input = corner.add(ky * block.row + kx * LANES);
+                        for (pixel, sum) in sums.iter_mut().enumerate() {
+                            let x = E::load::<S>(input.add(pixel * LANES));
+                            *sum = S::mul_add(x, w, *sum);
+                        }
+                    }
+                }
+            }
+            std::array::from_fn(|pixel| S::sum(sums[pixel]) + self.bias)
+        }
+    }
+}
+
+struct GateRows<'a, E: Element> {
+    op: &'a GateOp<E>,
+    frame: &'a Frame,
+    rows: Range<usize>,
+}
+
+impl<E: Element> Kernel for GateRows<'_, E> {
+    #[inline(always)]
+    unsafe fn run<S: Simd>(self) {
+        let Self { op, frame, rows } = self;
+        let row = frame.scratch.cast::<f32>();
+        let width = op.width;
+        for y in rows.clone() {
+            // SAFETY: the scratch holds a padded row; planes and the caller's slices hold all
+            // rows; the features of `kept` have the gate's size.
+            unsafe {
+                let mut x = 0;
+                while x + STRIP <= width {
+                    let sums = op.strip::<S, STRIP>(frame, y, x);
+                    row.add(x).cast::<[f32; STRIP]>().write_unaligned(sums);
+                    x += STRIP;
+                }
+                for x in x..width {
+                    row.add(x).write(op.strip::<S, 1>(frame, y, x)[0]);
+                }
+                for x in width..width.next_multiple_of(LANES) {
+                    row.add(x).write(0.0);
+                }
+                for x in (0..width).step_by(LANES) {
+                    S::store(row.add(x), sigmoid::<S>(S::load(row.add(x))));
+                }
+                if let Some(plane) = op.plane {
+                    let to = frame.arena.cast::<f32>().add(plane + y * width);
+                    row.copy_to_nonoverlapping(to, width);
+                }
+                if let Some((from, to)) = &op.kept {
+                    keep::<S, E>(frame, row, from, to, y);
+                }
+                if let Some((slot, scale)) = op.output {
+                    let to = frame.outputs[slot].add(y * width);
+                    for x in 0..width {
+                        to.add(x).write(*row.add(x) * scale);
+                    }
+                }
+            }
+        }
+        if let Some((_, to)) = &op.kept {
+            // SAFETY: as above.
+            unsafe { to.clear_halo::<E>(frame.arena, rows.start, rows.end) };
+        }
+    }
+}
+
+/// Scales row `y` of `from` by `row`, pixel by pixel.
+///
+/// # Safety
+/// Both features have the width of `row` and lie in the frame's arena.
+#[inline(always)]
+unsafe fn keep<S: Simd, E: Element>(
+    frame: &Frame,
+    row: *const f32,
+    from: &Place,
+    to: &Place,
+    y: usize,
+) {
+    let arena = frame.arena.cast::<E::T>();
+    for block in 0..from.block_count() {
+        for x in 0..from.size.width {
+            // SAFETY: passed on from the caller.
+            unsafe {
+                let value = E::load::<S>(arena.add(from.at(block, y, x)));
+                let kept = S::mul(value, S::splat(*row.add(x)));
+                E::store::<S>(arena.add(to.at(block, y, x)), kept);
+            }
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! AVX-512, with or without its bfloat16 instructions.
+#![allow(
+    unsafe_op_in_unsafe_fn,
+    reason = "every function is one instruction or a few, under the conditions of the trait"
+)]
+
+use std::arch::x86_64::*;
+
+use super::{Kernel, Simd};
+
+/// One register per sixteen values; `BF16` says whether pairs are multiplied in one instruction.
+#[derive(Clone, Copy)]
+pub(crate) struct Avx512<const BF16: bool>;
+
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512dq")]
+unsafe fn plain<K: Kernel>(kernel: K) {
+    kernel.run::<Avx512<false>>();
+}
+
+#[target_feature(enable = "avx512f,avx512bw,avx512vl,avx512dq,avx512bf16")]
+unsafe fn with_bf16<K: Kernel>(kernel: K) {
+    kernel.run::<Avx512<true>>();
+}
+
+/// The lower and the upper halves of sixteen pairs, widened.
+#[inline(always)]
+unsafe fn halves(pairs: __m512i) -> (__m512, __m512) {
+    let upper = _mm512_and_si512(pairs, _mm512_set1_epi32(-0x1_0000));
+    (
+        _mm512_castsi512_ps(_mm512_slli_epi32::<16>(pairs)),
+        _mm512_castsi512_ps(upper),
+    )
+}
+
+impl<const BF16: bool> Simd for Avx512<BF16> {
+    type V = __m512;
+    type Pairs = __m512i;
+    const SUMS: usize = 28;
+
+    #[inline(always)]
+    unsafe fn vectorize<K: Kernel>(kernel: K) {
+        if BF16 {
+            with_bf16(kernel);
+        } else {
+            plain(kernel);
+        }
+    }
+    #[inline(always)]
+    unsafe fn splat(x: f32) -> __m512 {
+        _mm512_set1_ps(x)
+    }
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> __m512 {
+        _mm512_loadu_ps(from)
+    }
+    #[inline(always)]
+    unsafe fn store(to: *mut f32, x: __m512) {
+        _mm512_storeu_ps(to, x);
+    }
+    #[inline(always)]
+    unsafe fn add(a: __m512, b: __m512) -> __m512 {
+        _mm512_add_ps(a, b)
+    }
+    #[inline(always)]
+    unsafe fn mul(a: __m512, b: __m512) -> __m512 {
+        _mm512_mul_ps(a, b)
+    }
+    #[inline(always)]
+    unsafe fn div(a: __m512, b: __m512) -> __m512 {
+        _mm512_div_ps(a, b)
+    }
+    #[inline(always)]
+    unsafe fn mul_add(a: __m512, b: __m512, c: __m512) -> __m512 {
+        _mm512_fmadd_ps(a, b, c)
+    }
+    #[inline(always)]
+    unsafe fn max(a: __m512, b: __m512) -> __m512 {
+        _mm512_max_ps(a, b)
+    }
+    #[inline(always)]
+    unsafe fn min(a: __m512, b: __m512) -> __m512 {
+        _mm512_min_ps(a, b)
+    }
+    #[inline(always)]
+    unsafe fn sum(x: __m512) -> f32 {
+        _mm512_reduce_add_ps(x)
+    }
+    #[inline(always)]
+    unsafe fn widen(from: *const u16) -> __m512 {
+        let words = _mm512_cvtepu16_epi32(_mm256_loadu_si256(from.cast()));
+        _mm512_castsi512_ps(_mm512_slli_epi32::<16>(words))
+    }
+    #[inline(always)]
+    unsafe fn narrow(to: *mut u16, x: __m512) {
+        let words: __m256i = if BF16 {
+            std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(x))
+        } else {
+            let bits = _mm512_castps_si512(x);
+            let odd = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
+            let rounding = _mm512_add_epi32(odd, _mm512_set1_epi32(0x7fff));
+            let quiet = _mm512_or_si512(bits, _mm512_set1_epi32(0x0040_0000));
+            let is_nan = _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(x, x);
+            let rounded = _mm512_mask_mov_epi32(_mm512_add_epi32(bits, rounding), is_nan, quiet);
+            _mm512_cvtepi32_epi16(_mm512_srli_epi32::<16>(rounded))
+        };
+        _mm256_storeu_si256(to.cast(), words);
+    }
+    #[inline(always)]
+    unsafe fn load_pairs(from: *const u16) -> __m512i {
+        _mm512_loadu_si512(from.cast())
+    }
+    #[inline(always)]
+    unsafe fn spread_pair(from: *const u16) -> __m512i {
+        _mm512_set1_epi32(from.cast::<i32>().read_unaligned())
+    }
+    #[inline(always)]
+    unsafe fn dot_add(sum: __m512, a: __m512i, b: __m512i) -> __m512 {
+        if BF16 {
+            let pairs = |x| std::mem::transmute::<__m512i, __m512bh>(x);
+            _mm512_dpbf16_ps(sum, pairs(a), pairs(b))
+        } else {
+            let ((a0, a1), (b0, b1)) = (halves(a), halves(b));
+            _mm512_fmadd_ps(a1, b1, _mm512_fmadd_ps(a0, b0, sum))
+        }
+    }
+}
