@@ -8,7 +8,11 @@
 
 use std::fs;
 
-use noctule_world::{Frame, Horizon, Optics, Sample, Scene, Snapshot, Tier, render};
+use std::time::{Duration, Instant};
+
+use noctule_world::{
+    DriveOptions, Frame, Horizon, Optics, Sample, Scene, Snapshot, Tier, record_drive, render,
+};
 
 /// CPU seconds of this process so far, in ticks of 10 ms.
 fn cpu_s() -> f64 {
@@ -90,4 +94,20 @@ fn main() {
             );
         }
     });
+    record();
+}
+
+/// A whole drive at full size, on all threads.
+fn record() {
+    let dir = std::env::temp_dir().join(format!("noctule-bench-world-{}", std::process::id()));
+    let options = DriveOptions::new(101, Tier::B, Duration::from_secs(2));
+    let (cpu, wall) = (cpu_s(), Instant::now());
+    let summary = record_drive(&options, &dir, |_| {});
+    let (cpu, wall) = (cpu_s() - cpu, wall.elapsed().as_secs_f64());
+    let removed = fs::remove_dir_all(&dir);
+    let summary = summary.expect("the temporary folder can be written");
+    removed.expect("what was written can be removed");
+    println!("a drive of 2 s, tier B, 512x512, with truth: {cpu:.1} CPU s, {wall:.1} s elapsed");
+    let (frames, events, exposures) = (summary.frames, summary.events, summary.exposures);
+    println!("  {frames} frames, {events} events, {exposures} exposures");
 }

@@ -37,7 +37,7 @@ pub(crate) fn exp(x: f32) -> f32 {
     let p = 1.540_353e-4;
     let p = p * f + 1.333_355_8e-3;
     let p = p * f + 9.618_129e-3;
-    let p = p * f + 5.550_410_9e-2;
+    let p = p * f + 5.550_411e-2;
     let p = p * f + 2.402_265e-1;
     let p = p * f + 6.931_472e-1;
     let p = p * f + 1.0;

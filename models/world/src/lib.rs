@@ -24,7 +24,11 @@
 #![allow(
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "pixel and sample arithmetic"
+    reason = "pixel, channel and sample indices of bounded images and drives"
+)]
+#![allow(
+    clippy::needless_range_loop,
+    reason = "loops over lanes of several arrays read and vectorise best by index"
 )]
 
 mod approx;

@@ -1,5 +1,11 @@
 //! A short drive with small images, recorded and read back through the drivers.
 
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "pixel indices of small images"
+)]
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -252,6 +258,36 @@ fn truth_pictures_fit_the_scene() {
     let blur = truth.blur().expect("blur");
     assert_eq!((blur.width, blur.height), (SIZE / 2, SIZE / 2));
     assert!(truth.flow(7).is_ok());
+}
+
+#[test]
+fn long_exposures_and_a_standing_vehicle_can_be_recorded() {
+    for (tier, seconds, exposures) in [(Tier::C, 2.0, 1), (Tier::S, 0.6, 2)] {
+        let options = options(4, tier, seconds, Faults::default());
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let mut last = 0.0;
+        let summary = record_drive(&options, dir.path(), |progress| {
+            assert!(progress.rendered_s >= last && progress.rendered_s <= progress.total_s);
+            last = progress.rendered_s;
+        });
+        let summary = summary.expect("a small drive can be recorded");
+        assert!(summary.exposures >= exposures, "tier {tier:?}: {summary:?}");
+        assert!((last - seconds).abs() < 1e-9);
+        let recording = Recording::open(dir.path()).expect("a recording");
+        for index in recording.samples().expect("samples") {
+            let truth = recording.sample_truth(index).expect("a sample");
+            for step in 1..=8 {
+                let sparse = truth.sparse(step).expect("sparse depth");
+                let drawn = sparse.data.iter().filter(|&&d| d > 0.0).count();
+                // Before the first turn is over there is no pass to show.
+                let turned = options.rig.shutter.opening(u64::from(index)).open_ns > 150_000_000;
+                assert!(
+                    drawn > 100 || !turned,
+                    "tier {tier:?}, sample {index}, step {step}: {drawn}"
+                );
+            }
+        }
+    }
 }
 
 #[test]

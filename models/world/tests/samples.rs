@@ -1,5 +1,11 @@
 //! Samples have the statistics of the prototype, exact truth, and the same bits every time.
 
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "pixel indices of small images"
+)]
+
 use noctule_world::{
     Frame, GROUND, Horizon, Optics, SKY, STEPS, Sample, Scene, Shutter, Snapshot, Tier, flow,
     render,

@@ -115,8 +115,8 @@ pub struct DriveSummary {
 }
 
 /// Renders and records a drive into `dir`, which must not hold a recording yet. The same options
-/// give the same bytes with any number of threads; `progress` is called a few times per rendered
-/// second at least.
+/// give the same bytes with any number of threads; `progress` is called after every
+/// rendered instant.
 ///
 /// # Errors
 /// When the options make no sense or a file cannot be written.
@@ -144,9 +144,10 @@ pub fn record_drive(
         timeline: &timeline,
         frame: Frame::new(options.rig.size),
         frames: 0,
+        progress: &mut progress,
     };
     drive.write_motion(&mut recording)?;
-    drive.run(&mut recording, &mut truth, &mut progress)?;
+    drive.run(&mut recording, &mut truth)?;
     let (events, frames) = (drive.events.finish(&mut recording)?, drive.frames);
     truth.finish()?;
     progress(DriveProgress {
@@ -171,6 +172,7 @@ struct Drive<'a> {
     lidar: lidar::LidarStream<'a>,
     frame: Frame,
     frames: u64,
+    progress: &'a mut dyn FnMut(DriveProgress),
 }
 
 impl Drive<'_> {
@@ -179,7 +181,6 @@ impl Drive<'_> {
         &mut self,
         recording: &mut RecordingWriter,
         truth: &mut TruthWriter,
-        progress: &mut dyn FnMut(DriveProgress),
     ) -> Result<(), WorldError> {
         let total_s = self.options.duration.as_secs_f64();
         let optics = Optics::new(self.options.rig.size);
@@ -198,10 +199,6 @@ impl Drive<'_> {
                 .send_until(self.scene, opening.close_ns, recording)?;
             self.images
                 .develop(timed, &mut self.lidar, recording, truth)?;
-            progress(DriveProgress {
-                rendered_s: now_s,
-                total_s,
-            });
         }
         self.idle(now_s, total_s + 1e-3, &optics, recording)?;
         self.lidar.send_until(self.scene, u64::MAX, recording)
@@ -241,6 +238,11 @@ impl Drive<'_> {
         let snapshot = Snapshot::new(self.scene, t_s, Horizon::CAMERA);
         render(self.scene, &snapshot, optics, &mut self.frame);
         self.frames += 1;
+        let total_s = self.options.duration.as_secs_f64();
+        (self.progress)(DriveProgress {
+            rendered_s: t_s.clamp(0.0, total_s),
+            total_s,
+        });
         self.events.step(&self.frame.luma, t_s, recording)
     }
 
