@@ -235,7 +235,8 @@ impl EventTransfers {
         let got = read_full(&mut self.reader, &mut self.buffer)
             .map_err(|e| RecordingError::io(&self.path, e))?;
         self.buffer.truncate(got);
-        self.position += got as u64;
+        // Where the next must begin, whether or not the file goes that far.
+        self.position += if listed.is_some() { len } else { got } as u64;
         if let Schedule::SensorTime { decoder, reached } = &mut self.schedule {
             decoder.decode(&self.buffer, reached);
             reached.to(decoder.watermark().unwrap_or_default());

@@ -111,6 +111,18 @@ fn a_transfer_that_is_not_there_at_all_is_absent() {
 }
 
 #[test]
+fn an_event_file_cut_inside_an_earlier_transfer_ends_there() {
+    let dir = recorded();
+    let last = delivered().transfers[TRANSFERS - 1].0.len();
+    let whole: usize = delivered().transfers.iter().map(|t| t.0.len()).sum();
+    cut(dir.path(), "raw/events.raw", last as u64 + 10);
+    let (count, bytes, faults) = transfers(&Recording::open(dir.path()).unwrap());
+    assert_eq!((count, bytes), (TRANSFERS - 1, whole - last - 10));
+    let missing = (faults.truncated_bytes, faults.absent_rows);
+    assert_eq!(missing, (last as u64 + 10, 1));
+}
+
+#[test]
 fn a_cut_event_table_leaves_unlisted_bytes() {
     let dir = recorded();
     let last = delivered().transfers[TRANSFERS - 1].0.len() as u64;
