@@ -326,7 +326,10 @@ impl<A: Clock, B: Clock> PairedFit<A, B> {
     /// From the line to the instants of the edges: nowhere when errors have two sides, down to the
     /// least delay when they have one; unknown in between.
     fn shift(&self, line: &Line, x: f64) -> Shift {
-        let plain = Shift { shift: 0.0, bound: line.quantile() * line.sd_at(x) };
+        let plain = Shift {
+            shift: 0.0,
+            bound: line.quantile() * line.sd_at(x),
+        };
         if !self.config.may_lag {
             return plain;
         }
@@ -356,9 +359,15 @@ impl<A: Clock, B: Clock> PairedFit<A, B> {
         } else if n >= SHAPE_COUNT && skewness > SKEWNESS.1 && lag < STEEP * sd {
             let tilt = line.quantile() * line.slope_sd * (x - least.0).abs();
             let bound = LEAST_BOUND * lag / n + tilt + self.config.tick_ns as f64;
-            Shift { shift: least.1 - lag / n, bound }
+            Shift {
+                shift: least.1 - lag / n,
+                bound,
+            }
         } else {
-            Shift { bound: plain.bound + line.noise, ..plain }
+            Shift {
+                bound: plain.bound + line.noise,
+                ..plain
+            }
         }
     }
 
