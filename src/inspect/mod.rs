@@ -52,7 +52,8 @@ pub struct Inspection {
     /// The numbers.
     #[serde(flatten)]
     pub report: Report,
-    /// What was inspected.
+    /// What was inspected; in JSON, bytes that are no UTF-8 are replaced.
+    #[serde(serialize_with = "shown")]
     pub path: PathBuf,
     /// Damage, in the order in which it was met; everything before it was counted.
     #[serde(serialize_with = "sentences")]
@@ -106,6 +107,10 @@ pub fn bytes_to_read(path: &Path) -> u64 {
         return len(&path.join(recording::EVENTS_FILE)) + len(&path.join(recording::LIDAR_FILE));
     }
     len(path)
+}
+
+fn shown<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&path.display())
 }
 
 fn sentences<S: Serializer>(faults: &[InspectError], serializer: S) -> Result<S::Ok, S::Error> {
