@@ -32,6 +32,7 @@ mod norm;
 mod params;
 mod parity;
 mod pass;
+mod plan;
 mod rdu;
 mod sequence;
 mod weights;
@@ -45,5 +46,6 @@ pub use parity::{
     parity_on,
 };
 pub use pass::{Moments, Pass};
+pub use plan::{Plan, PlanError, PlanOptions};
 pub use sequence::{Sequence, Step};
 pub use weights::{FILE_BYTES_MAX, Fault, Weights, WeightsError};

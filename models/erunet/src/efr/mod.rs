@@ -20,6 +20,8 @@ use recon::Recon;
 use spatial::Spatial;
 use temporal::Temporal;
 
+pub(crate) use temporal::{centre, coordinates};
+
 /// The restoration network; weight names start with `efr.`.
 pub(crate) struct Efr {
     spatial: Spatial,

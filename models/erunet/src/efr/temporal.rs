@@ -59,13 +59,19 @@ impl Temporal {
     clippy::cast_precision_loss,
     reason = "image sides and step counts are small"
 )]
-fn centre(index: usize, count: usize) -> f32 {
+pub(crate) fn centre(index: usize, count: usize) -> f32 {
     (index as f32 + 0.5) / count as f32 * 2.0 - 1.0
 }
 
 /// Fourier encoding of place and time, `[1, 6 freqs, h, w]`: for x, y, t in turn and each
 /// frequency f, the sine and then the cosine of `2^f pi u`, with `u` in -1 to 1.
-fn coordinates(h: usize, w: usize, tau: f32, freqs: usize, device: &Device) -> Result<Tensor> {
+pub(crate) fn coordinates(
+    h: usize,
+    w: usize,
+    tau: f32,
+    freqs: usize,
+    device: &Device,
+) -> Result<Tensor> {
     let columns: Vec<f32> = (0..w).map(|i| centre(i, w)).collect();
     let rows: Vec<f32> = (0..h).map(|i| centre(i, h)).collect();
     let mut planes = Vec::with_capacity(6 * freqs * h * w);
