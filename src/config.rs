@@ -201,7 +201,13 @@ impl Default for Config {
 
 impl Default for Grid {
     fn default() -> Self {
-        Self { width: 256, height: 256, steps: 8, bins: 5, depth_m_max: 80.0 }
+        Self {
+            width: 256,
+            height: 256,
+            steps: 8,
+            bins: 5,
+            depth_m_max: 80.0,
+        }
     }
 }
 
@@ -220,7 +226,10 @@ impl Default for Strobe {
 
 impl Default for Budget {
     fn default() -> Self {
-        Self { bundle_ms: 60, depth_ms: 400 }
+        Self {
+            bundle_ms: 60,
+            depth_ms: 400,
+        }
     }
 }
 
@@ -238,13 +247,22 @@ impl Default for Lanes {
 
 impl Default for Lidar {
     fn default() -> Self {
-        Self { model: "auto".to_owned(), port: 2368, angles: None, fire_times: None }
+        Self {
+            model: "auto".to_owned(),
+            port: 2368,
+            angles: None,
+            fire_times: None,
+        }
     }
 }
 
 impl Default for Infer {
     fn default() -> Self {
-        Self { model: ModelId::Fill, ladder: true, weights: BTreeMap::new() }
+        Self {
+            model: ModelId::Fill,
+            ladder: true,
+            weights: BTreeMap::new(),
+        }
     }
 }
 
@@ -254,8 +272,10 @@ impl Config {
     /// # Errors
     /// When it cannot be read or is refused.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|cause| ConfigError::Read { path: path.to_owned(), cause })?;
+        let text = std::fs::read_to_string(path).map_err(|cause| ConfigError::Read {
+            path: path.to_owned(),
+            cause,
+        })?;
         Self::parse(&text, &path.display().to_string())
     }
 
@@ -264,8 +284,10 @@ impl Config {
     /// # Errors
     /// When it is refused.
     pub fn parse(text: &str, origin: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text)
-            .map_err(|e| ConfigError::Syntax { origin: origin.to_owned(), cause: Box::new(e) })?;
+        let config: Self = toml::from_str(text).map_err(|e| ConfigError::Syntax {
+            origin: origin.to_owned(),
+            cause: Box::new(e),
+        })?;
         config.validate(origin)?;
         Ok(config)
     }
@@ -285,7 +307,13 @@ impl Config {
     /// Never on a validated configuration.
     #[must_use]
     pub fn bundle_layout(&self) -> BundleLayout {
-        let Grid { width, height, steps, bins, .. } = self.grid;
+        let Grid {
+            width,
+            height,
+            steps,
+            bins,
+            ..
+        } = self.grid;
         BundleLayout::new(steps, bins, height, width).expect("the grid was validated")
     }
 
@@ -322,23 +350,35 @@ impl Config {
         }
         let grid = &self.grid;
         if let Err(e) = BundleLayout::new(grid.steps, grid.bins, grid.height, grid.width) {
-            let value = format!("{}x{}x{}x{}", grid.steps, grid.bins, grid.height, grid.width);
-            return refuse("grid (steps x bins x height x width)", &value, &e.to_string());
+            let value = format!(
+                "{}x{}x{}x{}",
+                grid.steps, grid.bins, grid.height, grid.width
+            );
+            return refuse(
+                "grid (steps x bins x height x width)",
+                &value,
+                &e.to_string(),
+            );
         }
         if !(grid.depth_m_max.is_finite() && (1.0..=500.0).contains(&grid.depth_m_max)) {
             return refuse("grid.depth_m_max", &grid.depth_m_max, "1 to 500 metres");
         }
         let strobe = &self.strobe;
         if !(1..=60_000).contains(&strobe.virtual_period_ms) {
-            return refuse("strobe.virtual_period_ms", &strobe.virtual_period_ms, "1 to 60000");
+            return refuse(
+                "strobe.virtual_period_ms",
+                &strobe.virtual_period_ms,
+                "1 to 60000",
+            );
         }
         if strobe.virtual_width_ms == 0 || strobe.virtual_width_ms > strobe.virtual_period_ms {
             let reason = "1 up to strobe.virtual_period_ms";
             return refuse("strobe.virtual_width_ms", &strobe.virtual_width_ms, reason);
         }
-        for (key, delay) in
-            [("strobe.open_delay_us", strobe.open_delay_us), ("strobe.close_delay_us", strobe.close_delay_us)]
-        {
+        for (key, delay) in [
+            ("strobe.open_delay_us", strobe.open_delay_us),
+            ("strobe.close_delay_us", strobe.close_delay_us),
+        ] {
             if delay.unsigned_abs() > 10_000 {
                 return refuse(key, &delay, "-10000 to 10000");
             }
@@ -352,7 +392,9 @@ impl Config {
             return refuse("budget.depth_ms", &budget.depth_ms, reason);
         }
         self.validate_lanes(&refuse)?;
-        if self.lidar.model != "auto" && noctule_hesai::Model::from_name(&self.lidar.model).is_none() {
+        if self.lidar.model != "auto"
+            && noctule_hesai::Model::from_name(&self.lidar.model).is_none()
+        {
             let reason = "auto, qt64, qt128, xt32, xt16, xt32m, pandar64 or pandar40p";
             return refuse("lidar.model", &self.lidar.model, reason);
         }
@@ -361,7 +403,11 @@ impl Config {
         }
         for (model, path) in &self.infer.weights {
             if *model < ModelId::Xs {
-                return refuse("infer.weights", &path.display(), "only xs, s and full have weights");
+                return refuse(
+                    "infer.weights",
+                    &path.display(),
+                    "only xs, s and full have weights",
+                );
             }
         }
         if self.infer.model >= ModelId::Xs && !self.infer.weights.contains_key(&self.infer.model) {
@@ -371,10 +417,7 @@ impl Config {
         Ok(())
     }
 
-    fn validate_lanes(
-        &self,
-        refuse: &Refuse<'_>,
-    ) -> Result<(), ConfigError> {
+    fn validate_lanes(&self, refuse: &Refuse<'_>) -> Result<(), ConfigError> {
         let lanes = &self.lanes;
         for (key, blocks, least) in [
             ("lanes.event_blocks", lanes.event_blocks, 8),
@@ -388,7 +431,11 @@ impl Config {
         }
         let history = lanes.history_events;
         if !history.is_power_of_two() || !(1 << 16..=1 << 28).contains(&history) {
-            refuse("lanes.history_events", &history, "a power of two from 65536 to 268435456")?;
+            refuse(
+                "lanes.history_events",
+                &history,
+                "a power of two from 65536 to 268435456",
+            )?;
         }
         Ok(())
     }
@@ -400,6 +447,9 @@ mod tests {
 
     #[test]
     fn the_shipped_file_states_the_defaults() {
-        assert_eq!(Config::parse(DEFAULT_TOML, "noctule.toml").unwrap(), Config::default());
+        assert_eq!(
+            Config::parse(DEFAULT_TOML, "noctule.toml").unwrap(),
+            Config::default()
+        );
     }
 }

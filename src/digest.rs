@@ -44,14 +44,26 @@ pub struct RunDigest {
 impl RunDigest {
     /// Adds a bundle.
     pub fn bundle(&mut self, header: &BundleHeader, payload: &[Block]) {
-        let key = Key { sequence: header.sequence, depth: None };
-        self.frames.insert(key, hash(bytemuck::bytes_of(&header.without_stages()), payload));
+        let key = Key {
+            sequence: header.sequence,
+            depth: None,
+        };
+        self.frames.insert(
+            key,
+            hash(bytemuck::bytes_of(&header.without_stages()), payload),
+        );
     }
 
     /// Adds a depth map.
     pub fn depth(&mut self, header: &DepthHeader, payload: &[Block]) {
-        let key = Key { sequence: header.sequence, depth: Some((header.step, header.model)) };
-        self.frames.insert(key, hash(bytemuck::bytes_of(&header.without_stages()), payload));
+        let key = Key {
+            sequence: header.sequence,
+            depth: Some((header.step, header.model)),
+        };
+        self.frames.insert(
+            key,
+            hash(bytemuck::bytes_of(&header.without_stages()), payload),
+        );
     }
 
     /// The digest of everything added, in hexadecimal.
@@ -74,7 +86,9 @@ impl RunDigest {
         let digest = |(key, hash): (&Key, &Hash)| FrameDigest {
             sequence: key.sequence,
             step: key.depth.map(|(step, _)| step),
-            model: key.depth.map(|(_, id)| ModelId::from_u32(id).map_or("unknown", ModelId::name)),
+            model: key
+                .depth
+                .map(|(_, id)| ModelId::from_u32(id).map_or("unknown", ModelId::name)),
             sha256: hex(hash),
         };
         self.frames.iter().map(digest).collect()
@@ -98,20 +112,32 @@ mod tests {
     use crate::frame::HostStages;
 
     fn depth(step: u32, value: f32) -> (DepthHeader, [Block; 1]) {
-        let header = DepthHeader { sequence: 4, step, frame: u64::from(step), ..Default::default() };
+        let header = DepthHeader {
+            sequence: 4,
+            step,
+            frame: u64::from(step),
+            ..Default::default()
+        };
         (header, [Block { lanes: [value; 16] }])
     }
 
     #[test]
     fn order_and_stamps_play_no_part_but_every_bit_does() {
-        let (mut a, mut b, mut c) = (RunDigest::default(), RunDigest::default(), RunDigest::default());
+        let (mut a, mut b, mut c) = (
+            RunDigest::default(),
+            RunDigest::default(),
+            RunDigest::default(),
+        );
         for step in [0, 1] {
             let (header, payload) = depth(step, 2.0);
             a.depth(&header, &payload);
         }
         for step in [1, 0] {
             let (mut header, payload) = depth(step, 2.0);
-            header.host = HostStages { sent_ns: 99, ..Default::default() };
+            header.host = HostStages {
+                sent_ns: 99,
+                ..Default::default()
+            };
             header.frame += 10;
             b.depth(&header, &payload);
             let (header, payload) = depth(step, if step == 0 { 2.000_000_2 } else { 2.0 });

@@ -31,7 +31,9 @@ impl Block {
     /// Floats in a block.
     pub const LANES: usize = 16;
     /// All zero.
-    pub const ZERO: Self = Self { lanes: [0.0; Self::LANES] };
+    pub const ZERO: Self = Self {
+        lanes: [0.0; Self::LANES],
+    };
 }
 
 /// Flags of a bundle, passed on by every depth frame made from it.
@@ -81,7 +83,10 @@ pub mod flag {
             (ENDED_EARLY, "ended_early"),
             (LATE, "late"),
         ];
-        ALL.iter().filter(|(bit, _)| flags & bit != 0).map(|(_, name)| *name).collect()
+        ALL.iter()
+            .filter(|(bit, _)| flags & bit != 0)
+            .map(|(_, name)| *name)
+            .collect()
     }
 }
 
@@ -179,7 +184,11 @@ pub struct BundleHeader {
 
 impl Default for BundleHeader {
     fn default() -> Self {
-        Self { magic: BUNDLE_MAGIC, version: FRAME_VERSION, ..Self::zeroed() }
+        Self {
+            magic: BUNDLE_MAGIC,
+            version: FRAME_VERSION,
+            ..Self::zeroed()
+        }
     }
 }
 
@@ -190,7 +199,10 @@ impl BundleHeader {
     /// When the header was not written by this version of the program.
     pub fn layout(&self) -> Result<BundleLayout, FrameError> {
         if (self.magic, self.version) != (BUNDLE_MAGIC, FRAME_VERSION) {
-            return Err(FrameError::Version { magic: self.magic, version: self.version });
+            return Err(FrameError::Version {
+                magic: self.magic,
+                version: self.version,
+            });
         }
         BundleLayout::new(self.steps, self.bins, self.height, self.width)
     }
@@ -198,7 +210,10 @@ impl BundleHeader {
     /// The header with everything removed that differs between two runs over the same recording.
     #[must_use]
     pub fn without_stages(&self) -> Self {
-        Self { stages: HostStages::default(), ..*self }
+        Self {
+            stages: HostStages::default(),
+            ..*self
+        }
     }
 }
 
@@ -242,7 +257,11 @@ pub struct DepthHeader {
 
 impl Default for DepthHeader {
     fn default() -> Self {
-        Self { magic: DEPTH_MAGIC, version: FRAME_VERSION, ..Self::zeroed() }
+        Self {
+            magic: DEPTH_MAGIC,
+            version: FRAME_VERSION,
+            ..Self::zeroed()
+        }
     }
 }
 
@@ -253,7 +272,10 @@ impl DepthHeader {
     /// When the header was not written by this version of the program.
     pub fn layout(&self) -> Result<DepthLayout, FrameError> {
         if (self.magic, self.version) != (DEPTH_MAGIC, FRAME_VERSION) {
-            return Err(FrameError::Version { magic: self.magic, version: self.version });
+            return Err(FrameError::Version {
+                magic: self.magic,
+                version: self.version,
+            });
         }
         DepthLayout::new(self.height, self.width)
     }
@@ -272,7 +294,9 @@ impl DepthHeader {
 }
 
 /// The rungs of the ladder, and what is not on it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize,
+)]
 #[serde(rename_all = "lowercase")]
 #[repr(u32)]
 pub enum ModelId {
@@ -332,7 +356,9 @@ impl std::str::FromStr for ModelId {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum FrameError {
     /// Written by something else, or by another version.
-    #[error("header has magic {magic:#010x} and version {version}, this program reads version {FRAME_VERSION}")]
+    #[error(
+        "header has magic {magic:#010x} and version {version}, this program reads version {FRAME_VERSION}"
+    )]
     Version {
         /// As read.
         magic: u32,
@@ -362,9 +388,22 @@ pub enum FrameError {
     UnknownModel(String),
 }
 
-fn check(what: &'static str, value: u32, ok: bool, allowed: &'static str) -> Result<usize, FrameError> {
-    let refused = FrameError::Dimension { what, value, allowed };
-    if ok { usize::try_from(value).map_err(|_| refused) } else { Err(refused) }
+fn check(
+    what: &'static str,
+    value: u32,
+    ok: bool,
+    allowed: &'static str,
+) -> Result<usize, FrameError> {
+    let refused = FrameError::Dimension {
+        what,
+        value,
+        allowed,
+    };
+    if ok {
+        usize::try_from(value).map_err(|_| refused)
+    } else {
+        Err(refused)
+    }
 }
 
 /// Where the planes of a bundle lie: voxels `[T, B, H, W]`, sparse depth `[T, H, W]`, image
@@ -391,7 +430,12 @@ impl BundleLayout {
         Ok(Self {
             steps: check("steps", steps, (1..=16).contains(&steps), "1 to 16")?,
             bins: check("bins", bins, (2..=16).contains(&bins), "2 to 16")?,
-            height: check("height", height, plane(height), "a multiple of 16 up to 4096")?,
+            height: check(
+                "height",
+                height,
+                plane(height),
+                "a multiple of 16 up to 4096",
+            )?,
             width: check("width", width, plane(width), "a multiple of 16 up to 4096")?,
         })
     }
@@ -441,24 +485,39 @@ impl BundleLayout {
         let floats: &[f32] = bytemuck::cast_slice(payload);
         let (voxels, rest) = floats.split_at(self.voxels_len());
         let (sparse, image) = rest.split_at(self.sparse_len());
-        Ok(BundlePlanes { voxels, sparse, image })
+        Ok(BundlePlanes {
+            voxels,
+            sparse,
+            image,
+        })
     }
 
     /// The planes of a payload, to be written.
     ///
     /// # Errors
     /// When the payload has another size.
-    pub fn planes_mut<'a>(&self, payload: &'a mut [Block]) -> Result<BundlePlanesMut<'a>, FrameError> {
+    pub fn planes_mut<'a>(
+        &self,
+        payload: &'a mut [Block],
+    ) -> Result<BundlePlanesMut<'a>, FrameError> {
         self.expect(payload.len())?;
         let floats: &mut [f32] = bytemuck::cast_slice_mut(payload);
         let (voxels, rest) = floats.split_at_mut(self.voxels_len());
         let (sparse, image) = rest.split_at_mut(self.sparse_len());
-        Ok(BundlePlanesMut { voxels, sparse, image })
+        Ok(BundlePlanesMut {
+            voxels,
+            sparse,
+            image,
+        })
     }
 
     fn expect(&self, actual: usize) -> Result<(), FrameError> {
         let needed = self.blocks();
-        if actual == needed { Ok(()) } else { Err(FrameError::Length { needed, actual }) }
+        if actual == needed {
+            Ok(())
+        } else {
+            Err(FrameError::Length { needed, actual })
+        }
     }
 }
 
@@ -540,7 +599,11 @@ impl DepthLayout {
 
     fn expect(&self, actual: usize) -> Result<(), FrameError> {
         let needed = self.blocks();
-        if actual == needed { Ok(()) } else { Err(FrameError::Length { needed, actual }) }
+        if actual == needed {
+            Ok(())
+        } else {
+            Err(FrameError::Length { needed, actual })
+        }
     }
 }
 
@@ -556,7 +619,11 @@ mod tests {
         assert_eq!(planes.voxels.len(), 8 * 5 * 48 * 32);
         assert_eq!(planes.sparse.len(), 8 * 48 * 32);
         assert_eq!(planes.image.len(), 3 * 48 * 32);
-        for start in [planes.voxels.as_ptr(), planes.sparse.as_ptr(), planes.image.as_ptr()] {
+        for start in [
+            planes.voxels.as_ptr(),
+            planes.sparse.as_ptr(),
+            planes.image.as_ptr(),
+        ] {
             assert_eq!(start as usize % 64, 0);
         }
         planes.image[0] = 0.5;
@@ -566,21 +633,39 @@ mod tests {
     #[test]
     fn dimensions_are_refused_by_name() {
         let error = BundleLayout::new(8, 5, 250, 256).unwrap_err();
-        assert_eq!(error.to_string(), "height is 250, allowed is a multiple of 16 up to 4096");
+        assert_eq!(
+            error.to_string(),
+            "height is 250, allowed is a multiple of 16 up to 4096"
+        );
         assert!(BundleLayout::new(17, 5, 256, 256).is_err());
         assert!(BundleLayout::new(8, 1, 256, 256).is_err());
         assert_eq!(
-            DepthLayout::new(16, 16).unwrap().planes(&[Block::ZERO; 3]).unwrap_err(),
-            FrameError::Length { needed: 32, actual: 3 }
+            DepthLayout::new(16, 16)
+                .unwrap()
+                .planes(&[Block::ZERO; 3])
+                .unwrap_err(),
+            FrameError::Length {
+                needed: 32,
+                actual: 3
+            }
         );
     }
 
     #[test]
     fn a_header_of_another_version_is_refused() {
-        let mut header = BundleHeader { steps: 8, bins: 5, height: 16, width: 16, ..Default::default() };
+        let mut header = BundleHeader {
+            steps: 8,
+            bins: 5,
+            height: 16,
+            width: 16,
+            ..Default::default()
+        };
         assert!(header.layout().is_ok());
         header.version += 1;
-        assert!(matches!(header.layout(), Err(FrameError::Version { version: 2, .. })));
+        assert!(matches!(
+            header.layout(),
+            Err(FrameError::Version { version: 2, .. })
+        ));
     }
 
     #[test]

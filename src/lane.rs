@@ -54,7 +54,12 @@ pub fn lane<T>(
         lost: AtomicU64::new(0),
         consumer,
     });
-    (Producer { shared: Arc::clone(&shared) }, Consumer { shared })
+    (
+        Producer {
+            shared: Arc::clone(&shared),
+        },
+        Consumer { shared },
+    )
 }
 
 /// The filling end.
@@ -98,7 +103,9 @@ impl<T> Producer<T> {
     /// Promises that no block pushed from now on arrived before `arrival`.
     pub fn promise(&mut self, arrival: Stamp<Realtime>) {
         // Release pairs with the Acquire in `Consumer::promised`.
-        self.shared.promised.store(arrival.as_nanos(), Ordering::Release);
+        self.shared
+            .promised
+            .store(arrival.as_nanos(), Ordering::Release);
         self.shared.consumer.unpark();
     }
 

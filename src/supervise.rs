@@ -57,7 +57,9 @@ pub fn end_with(id: u32) -> std::io::Result<()> {
     if getppid().is_some_and(|parent| i64::from(parent.as_raw_nonzero().get()) == i64::from(id)) {
         return Ok(());
     }
-    Err(std::io::Error::other(format!("parent process {id} is gone")))
+    Err(std::io::Error::other(format!(
+        "parent process {id} is gone"
+    )))
 }
 
 /// A child process under watch. The thread that starts it must live as long as the child may: the
@@ -83,7 +85,14 @@ impl Supervised {
         arguments: Vec<String>,
     ) -> Result<Self, SuperviseError> {
         let child = spawn(&program, &arguments)?;
-        Ok(Self { name, program, arguments, child, restarts: 0, reports: Vec::new() })
+        Ok(Self {
+            name,
+            program,
+            arguments,
+            child,
+            restarts: 0,
+            reports: Vec::new(),
+        })
     }
 
     /// Process id of the child that runs now.
@@ -103,13 +112,22 @@ impl Supervised {
     /// # Errors
     /// When it ended with an error of its own, or died too often.
     pub fn watch(&mut self) -> Result<bool, SuperviseError> {
-        let Ok(Some(status)) = self.child.try_wait() else { return Ok(false) };
+        let Ok(Some(status)) = self.child.try_wait() else {
+            return Ok(false);
+        };
         self.collect();
         if status.code().is_some_and(|code| code != 0) {
-            return Err(SuperviseError::Failed { name: self.name, status });
+            return Err(SuperviseError::Failed {
+                name: self.name,
+                status,
+            });
         }
         if self.restarts == RESTARTS_MAX {
-            return Err(SuperviseError::Dies { name: self.name, deaths: RESTARTS_MAX + 1, status });
+            return Err(SuperviseError::Dies {
+                name: self.name,
+                deaths: RESTARTS_MAX + 1,
+                status,
+            });
         }
         tracing::warn!("'{}' ended with {status}, starting it again", self.name);
         self.child = spawn(&self.program, &self.arguments)?;
@@ -177,7 +195,10 @@ fn spawn(program: &PathBuf, arguments: &[String]) -> Result<Child, SuperviseErro
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .spawn()
-        .map_err(|cause| SuperviseError::Start { program: program.clone(), cause })
+        .map_err(|cause| SuperviseError::Start {
+            program: program.clone(),
+            cause,
+        })
 }
 
 #[cfg(test)]
@@ -188,7 +209,10 @@ mod tests {
         Supervised::start("shell", "/bin/sh".into(), vec!["-c".into(), script.into()]).unwrap()
     }
 
-    fn watch_until<T>(child: &mut Supervised, mut done: impl FnMut(&Result<bool, SuperviseError>) -> Option<T>) -> T {
+    fn watch_until<T>(
+        child: &mut Supervised,
+        mut done: impl FnMut(&Result<bool, SuperviseError>) -> Option<T>,
+    ) -> T {
         loop {
             let seen = child.watch();
             if let Some(value) = done(&seen) {
@@ -219,7 +243,9 @@ mod tests {
     fn a_child_that_fails_by_itself_is_not_started_again() {
         let mut child = shell("exit 3");
         let failed = watch_until(&mut child, |seen| {
-            seen.as_ref().err().map(|e| matches!(e, SuperviseError::Failed { .. }))
+            seen.as_ref()
+                .err()
+                .map(|e| matches!(e, SuperviseError::Failed { .. }))
         });
         assert!(failed);
     }

@@ -7,12 +7,25 @@ use noctule::frame::{BundleHeader, DepthHeader};
 
 fn instance(name: &str) -> Instance {
     noctule::bus::silence_transport_log();
-    Instance::new(format!("test-{name}-{}", std::process::id()).parse().unwrap())
+    Instance::new(
+        format!("test-{name}-{}", std::process::id())
+            .parse()
+            .unwrap(),
+    )
 }
 
 fn limits() -> Limits {
-    let small = ChannelLimits { blocks: 8, receivers: 2, queue: 2, held: 2, loans: 2 };
-    Limits { bundle: small, depth: small }
+    let small = ChannelLimits {
+        blocks: 8,
+        receivers: 2,
+        queue: 2,
+        held: 2,
+        loans: 2,
+    };
+    Limits {
+        bundle: small,
+        depth: small,
+    }
 }
 
 #[test]
@@ -21,7 +34,10 @@ fn a_receiver_sees_what_was_written_in_place() {
     let sender = owner.ports().bundle_sender().unwrap();
     let receiver = owner.ports().bundle_receiver().unwrap();
     let mut loan = sender.loan().unwrap();
-    *loan.header_mut() = BundleHeader { sequence: 7, ..Default::default() };
+    *loan.header_mut() = BundleHeader {
+        sequence: 7,
+        ..Default::default()
+    };
     loan.payload_mut()[3].lanes[5] = 1.5;
     assert_eq!(sender.send(loan).unwrap(), 1);
     receiver.wait(Duration::from_secs(1)).unwrap();
@@ -39,7 +55,10 @@ fn overwritten_frames_are_counted_as_a_gap() {
     let receiver = owner.ports().depth_receiver().unwrap();
     let send = |frame| {
         let mut loan = sender.loan().unwrap();
-        *loan.header_mut() = DepthHeader { frame, ..Default::default() };
+        *loan.header_mut() = DepthHeader {
+            frame,
+            ..Default::default()
+        };
         sender.send(loan).unwrap();
     };
     send(0);
@@ -69,5 +88,14 @@ fn an_instance_has_one_owner_and_leaves_nothing_behind() {
 fn without_an_owner_there_is_nothing_to_open() {
     let instance = instance("none");
     let error = Ports::<Ipc>::open(instance.clone(), "reader", limits()).unwrap_err();
-    assert!(matches!(error, BusError::NotRunning { service: "bundle", .. }), "{error}");
+    assert!(
+        matches!(
+            error,
+            BusError::NotRunning {
+                service: "bundle",
+                ..
+            }
+        ),
+        "{error}"
+    );
 }

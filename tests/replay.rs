@@ -14,7 +14,7 @@ use noctule::digest::FrameDigest;
 use noctule::frame::{ModelId, flag};
 use noctule::ingest::Pace;
 use noctule::replay::{HostOptions, Prepared, ReplayError, RunReport, Session, SessionOptions};
-use noctule_recording::{ExposureTruth, Recording};
+use noctule_recording::{EdgeTruth, ExposureTruth, Recording};
 use serde_json::json;
 
 mod recordings;
@@ -120,6 +120,9 @@ fn one_digest_at_any_pace_chunking_and_scheduling() {
         lossless: true,
     };
     let plain = run_whole(rough(), "plain", LOSSLESS);
+    // A drive without faults would leave the interesting paths out.
+    let missed = |truth: &ExposureTruth| truth.close_edge == EdgeTruth::Missed;
+    assert!(exposures(rough()).iter().any(missed) && plain.host.streams[1].lost > 0);
     let runs = [
         ("pace", how(Pace::Speed(3.0), None)),
         ("odd", how(Pace::Max, Some(1021))),

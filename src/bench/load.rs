@@ -64,7 +64,13 @@ pub enum LoadError {
 pub fn write_load(load: EventLoad, source: Option<&Path>, dir: &Path) -> Result<(), LoadError> {
     let (tile, geometry) = match source {
         Some(path) => tile_of(path)?,
-        None => (pattern(), Geometry { width: 1280, height: 720 }),
+        None => (
+            pattern(),
+            Geometry {
+                width: 1280,
+                height: 720,
+            },
+        ),
     };
     let header = RawHeader::new(Format::Evt3, geometry);
     let mut writer = RecordingWriter::create(dir, meta(geometry), &Calibration::default_rig())?;
@@ -79,7 +85,15 @@ pub fn write_load(load: EventLoad, source: Option<&Path>, dir: &Path) -> Result<
         for _ in 0..load.rate_mev_s {
             let (x, y, on) = tile[next];
             next = (next + 1) % tile.len();
-            encoder.event(Event { t: Stamp::from_micros(t_us), x, y, on }, &mut bytes)?;
+            encoder.event(
+                Event {
+                    t: Stamp::from_micros(t_us),
+                    x,
+                    y,
+                    on,
+                },
+                &mut bytes,
+            )?;
         }
         if (t_us + 1) % TRANSFER_US == 0 {
             encoder.advance(Stamp::from_micros(t_us), &mut bytes)?;
@@ -104,7 +118,11 @@ fn edge_at(t_us: u64) -> Option<TriggerEdge> {
         phase if phase == width => false,
         _ => return None,
     };
-    Some(TriggerEdge { t: Stamp::from_micros(t_us), channel: 0, rising })
+    Some(TriggerEdge {
+        t: Stamp::from_micros(t_us),
+        channel: 0,
+        rising,
+    })
 }
 
 type Pixel = (u16, u16, bool);
@@ -114,11 +132,18 @@ fn tile_of(path: &Path) -> Result<(Vec<Pixel>, Geometry), LoadError> {
     let geometry = file.header().geometry;
     let mut events: Vec<Event> = Vec::new();
     file.decode_all(&mut events)
-        .map_err(|cause| LoadError::Read { path: path.display().to_string(), cause })?;
+        .map_err(|cause| LoadError::Read {
+            path: path.display().to_string(),
+            cause,
+        })?;
     if events.is_empty() {
         return Err(LoadError::Empty(path.display().to_string()));
     }
-    let tile = events.iter().take(TILE_EVENTS_MAX).map(|e| (e.x, e.y, e.on)).collect();
+    let tile = events
+        .iter()
+        .take(TILE_EVENTS_MAX)
+        .map(|e| (e.x, e.y, e.on))
+        .collect();
     Ok((tile, geometry))
 }
 
@@ -130,7 +155,9 @@ fn pattern() -> Vec<Pixel> {
         // The high half of a linear congruence is the random one.
         u16::try_from((state >> 16) % u32::from(below)).unwrap_or(0)
     };
-    (0..1 << 20).map(|i| (384 + next(512), 104 + next(512), i % 3 != 0)).collect()
+    (0..1 << 20)
+        .map(|i| (384 + next(512), 104 + next(512), i % 3 != 0))
+        .collect()
 }
 
 fn meta(geometry: Geometry) -> Meta {
@@ -139,8 +166,16 @@ fn meta(geometry: Geometry) -> Meta {
         generator: None,
         split: None,
         steps: 8,
-        crop: Rectangle { x: 0, y: 0, width: 512, height: 512 },
-        network: GridSize { width: 256, height: 256 },
+        crop: Rectangle {
+            x: 0,
+            y: 0,
+            width: 512,
+            height: 512,
+        },
+        network: GridSize {
+            width: 256,
+            height: 256,
+        },
         events: Some(EventsMeta {
             serial: "load".to_owned(),
             width: geometry.width.into(),

@@ -64,9 +64,19 @@ pub fn bench_host(
     let mut reports = Vec::new();
     for &rate_mev_s in rates_mev_s {
         let dir = scratch.join(format!("{rate_mev_s}-mev-s"));
-        let folder = |cause| BenchError::Folder { path: dir.display().to_string(), cause };
+        let folder = |cause| BenchError::Folder {
+            path: dir.display().to_string(),
+            cause,
+        };
         say(&format!("making {seconds} s of {rate_mev_s} Mev/s"));
-        write_load(EventLoad { rate_mev_s, seconds }, source, &dir)?;
+        write_load(
+            EventLoad {
+                rate_mev_s,
+                seconds,
+            },
+            source,
+            &dir,
+        )?;
         say(&format!("running the host at {rate_mev_s} Mev/s"));
         time_copies(&from, &mut to, &mut copy);
         let report = run_rate(config, &dir);
@@ -76,8 +86,16 @@ pub fn bench_host(
     }
     let at = |percent| copy.percentile_us(percent).unwrap_or(f64::NAN);
     let (copy_p50_us, copy_p99_us) = (at(50.0), at(99.0));
-    let rows = reports.iter().map(|(rate, report)| row(*rate, report, copy_p50_us)).collect();
-    Ok(HostBench { bundle_bytes, copy_p50_us, copy_p99_us, rows })
+    let rows = reports
+        .iter()
+        .map(|(rate, report)| row(*rate, report, copy_p50_us))
+        .collect();
+    Ok(HostBench {
+        bundle_bytes,
+        copy_p50_us,
+        copy_p99_us,
+        rows,
+    })
 }
 
 fn time_copies(from: &[u8], to: &mut [u8], copy: &mut Latency) {
@@ -96,7 +114,10 @@ fn run_rate(config: &Config, dir: &Path) -> Result<HostReport, BenchError> {
     thread::scope(|scope| {
         let reader = scope.spawn(|| read_bundles(config, &done));
         let outlet = BusOutlet::new(owner.ports().bundle_sender()?);
-        let options = HostOptions { pace: Pace::REALTIME, piece_bytes: None };
+        let options = HostOptions {
+            pace: Pace::REALTIME,
+            piece_bytes: None,
+        };
         let report = run_host(&prepared, config, outlet, options, &stop);
         done.store(true, Ordering::Relaxed);
         if let Ok(read) = reader.join() {
@@ -118,7 +139,10 @@ fn read_bundles(config: &Config, done: &AtomicBool) -> Result<(), BusError> {
 }
 
 fn row(rate_mev_s: u32, report: &HostReport, copy_p50_us: f64) -> HostRow {
-    let stage = report.stages.iter().find(|s| s.stage == "close -> bundle sent");
+    let stage = report
+        .stages
+        .iter()
+        .find(|s| s.stage == "close -> bundle sent");
     let of = |pick: fn(&crate::latency::StageRow) -> Option<f64>| {
         stage.and_then(pick).unwrap_or(f64::NAN)
     };

@@ -86,7 +86,11 @@ impl<S: Service, H: Header> Sender<S, H> {
             .notifier_builder()
             .create()
             .map_err(|e| BusError::transport("creating a notifier")(&e))?;
-        let sender = Self { publisher, notifier, blocks: channel.limits.blocks };
+        let sender = Self {
+            publisher,
+            notifier,
+            blocks: channel.limits.blocks,
+        };
         sender.touch(channel.limits.loans)?;
         Ok(sender)
     }
@@ -115,8 +119,10 @@ impl<S: Service, H: Header> Sender<S, H> {
     /// # Errors
     /// When the transport fails.
     pub fn send(&self, loan: Loan<S, H>) -> Result<usize, BusError> {
-        let receivers =
-            loan.sample.send().map_err(|e| BusError::transport("sending a sample")(&e))?;
+        let receivers = loan
+            .sample
+            .send()
+            .map_err(|e| BusError::transport("sending a sample")(&e))?;
         // A receiver that vanished between the two calls is no error of the sender's.
         if let Err(error) = self.notifier.notify() {
             tracing::debug!("waking receivers: {error:?}");
@@ -206,7 +212,9 @@ impl<S: Service, H: Header> Receiver<S, H> {
     /// # Errors
     /// When the transport fails.
     pub fn receive_newest(&self) -> Result<Option<Newest<S, H>>, BusError> {
-        let Some(mut frame) = self.receive()? else { return Ok(None) };
+        let Some(mut frame) = self.receive()? else {
+            return Ok(None);
+        };
         let mut passed_over = 0;
         while let Some(newer) = self.receive()? {
             frame = newer;

@@ -19,8 +19,14 @@ impl FromStr for InstanceName {
 
     fn from_str(text: &str) -> Result<Self, BusError> {
         let ok = (1..=32).contains(&text.len())
-            && text.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
-        if ok { Ok(Self(text.to_owned())) } else { Err(BusError::Name(text.to_owned())) }
+            && text
+                .bytes()
+                .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
+        if ok {
+            Ok(Self(text.to_owned()))
+        } else {
+            Err(BusError::Name(text.to_owned()))
+        }
     }
 }
 
@@ -88,8 +94,11 @@ impl Instance {
     /// Removes the residue; only for when no process of the instance is alive.
     pub(super) fn sweep(&self) {
         for path in self.residue() {
-            let removed =
-                if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+            let removed = if path.is_dir() {
+                fs::remove_dir_all(&path)
+            } else {
+                fs::remove_file(&path)
+            };
             if let Err(error) = removed {
                 tracing::warn!("{}: not removed: {error}", path.display());
             }
@@ -130,6 +139,9 @@ mod tests {
     #[test]
     fn shared_memory_room_is_checked() {
         assert!(Instance::require_room(1 << 20).is_ok());
-        assert!(matches!(Instance::require_room(u64::MAX), Err(BusError::Room { .. })));
+        assert!(matches!(
+            Instance::require_room(u64::MAX),
+            Err(BusError::Room { .. })
+        ));
     }
 }

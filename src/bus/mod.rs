@@ -58,7 +58,10 @@ pub enum BusError {
 
 impl BusError {
     fn transport(doing: &'static str) -> impl Fn(&dyn std::fmt::Debug) -> Self {
-        move |cause| Self::Transport { doing, cause: format!("{cause:?}") }
+        move |cause| Self::Transport {
+            doing,
+            cause: format!("{cause:?}"),
+        }
     }
 }
 

@@ -50,9 +50,21 @@ impl Limits {
     #[must_use]
     pub fn new(bundle_blocks: usize, depth_blocks: usize) -> Self {
         Self {
-            bundle: ChannelLimits { blocks: bundle_blocks, receivers: 2, queue: 2, held: 2, loans: 4 },
+            bundle: ChannelLimits {
+                blocks: bundle_blocks,
+                receivers: 2,
+                queue: 2,
+                held: 2,
+                loans: 4,
+            },
             // Two whole sequences of eight and the start of a third.
-            depth: ChannelLimits { blocks: depth_blocks, receivers: 3, queue: 20, held: 2, loans: 2 },
+            depth: ChannelLimits {
+                blocks: depth_blocks,
+                receivers: 3,
+                queue: 20,
+                held: 2,
+                loans: 2,
+            },
         }
     }
 }
@@ -94,7 +106,15 @@ impl<S: Service> Owner<S> {
             other => other?,
         };
         let depth = create::<S, DepthHeader>(&instance, &node, limits.depth)?;
-        Ok(Self { ports: Ports { instance, node, bundle, depth }, _sweeper: sweeper })
+        Ok(Self {
+            ports: Ports {
+                instance,
+                node,
+                bundle,
+                depth,
+            },
+            _sweeper: sweeper,
+        })
     }
 
     /// The owner's own ports.
@@ -135,7 +155,12 @@ impl<S: Service> Ports<S> {
         let node = node::<S>(&instance, name)?;
         let bundle = open::<S, BundleHeader>(&instance, &node, limits.bundle)?;
         let depth = open::<S, DepthHeader>(&instance, &node, limits.depth)?;
-        Ok(Self { bundle, depth, node, instance })
+        Ok(Self {
+            bundle,
+            depth,
+            node,
+            instance,
+        })
     }
 
     /// The instance they belong to.
@@ -188,7 +213,11 @@ fn node<S: Service>(instance: &Instance, name: &str) -> Result<Node<S>, BusError
     let transport = BusError::transport("creating a node");
     let config = instance.config()?;
     NodeBuilder::new()
-        .name(&name.try_into().map_err(|_| BusError::Name(name.to_owned()))?)
+        .name(
+            &name
+                .try_into()
+                .map_err(|_| BusError::Name(name.to_owned()))?,
+        )
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<S>()

@@ -52,14 +52,19 @@ pub fn run(arguments: &Arguments) -> Outcome {
         None => Config::default(),
     };
     config.instance = format!("bench-{}", std::process::id());
-    let scratch = host
-        .scratch
-        .clone()
-        .unwrap_or_else(|| std::env::temp_dir().join(format!("noctule-bench-{}", std::process::id())));
+    let scratch = host.scratch.clone().unwrap_or_else(|| {
+        std::env::temp_dir().join(format!("noctule-bench-{}", std::process::id()))
+    });
     let spinner = progress::spinner("starting");
     let say = |text: &str| spinner.set_message(text.to_owned());
-    let bench =
-        bench_host(&config, &host.rates, host.seconds, host.raw.as_deref(), &scratch, &say);
+    let bench = bench_host(
+        &config,
+        &host.rates,
+        host.seconds,
+        host.raw.as_deref(),
+        &scratch,
+        &say,
+    );
     spinner.finish_and_clear();
     if host.scratch.is_none() && scratch.exists() {
         std::fs::remove_dir_all(&scratch)?;

@@ -28,8 +28,15 @@ pub struct Arguments {
 
 /// Renders the drive, unless an earlier demo did, and replays it.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let out = arguments.how.out.clone().unwrap_or_else(|| PathBuf::from("out/demo"));
-    let cache = arguments.cache.clone().unwrap_or_else(|| out.join("recordings"));
+    let out = arguments
+        .how
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from("out/demo"));
+    let cache = arguments
+        .cache
+        .clone()
+        .unwrap_or_else(|| out.join("recordings"));
     let name = format!(
         "night-{}-{}s-{}-v{}",
         arguments.seed,
@@ -48,8 +55,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
         }
         std::fs::create_dir_all(&cache)?;
         eprintln!("rendering {}", recording.display());
-        let options =
-            DriveOptions::new(arguments.seed, arguments.tier, world::seconds(arguments.seconds));
+        let options = DriveOptions::new(
+            arguments.seed,
+            arguments.tier,
+            world::seconds(arguments.seconds),
+        );
         world::render(&options, &recording)?;
     }
     let mut how = arguments.how.clone();

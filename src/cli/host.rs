@@ -46,7 +46,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let prepared = Prepared::open(&arguments.replay, &config)?;
     let owner = Owner::<Ipc>::create(config.instance(), config.limits())?;
     let outlet = BusOutlet::new(owner.ports().bundle_sender()?);
-    let options = HostOptions { pace: arguments.pace, piece_bytes: None };
+    let options = HostOptions {
+        pace: arguments.pace,
+        piece_bytes: None,
+    };
     let report = run_host(&prepared, &config, outlet, options, &stop)?;
     println!("{}", serde_json::to_string(&report)?);
     ended_well(&stop)

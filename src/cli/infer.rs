@@ -54,16 +54,28 @@ pub fn run(arguments: &Arguments) -> Outcome {
     let mut engines = Engines::load(&config)?;
     let rungs = engines.measure(config.infer.model, &monotonic_ns)?;
     for rung in &rungs {
-        let (begin, step) = (Duration::from_nanos(rung.begin_ns), Duration::from_nanos(rung.step_ns));
+        let (begin, step) = (
+            Duration::from_nanos(rung.begin_ns),
+            Duration::from_nanos(rung.step_ns),
+        );
         tracing::info!("model {}: {begin:?} to begin, {step:?} a step", rung.model);
     }
     let steps_down = config.infer.ladder && !arguments.lossless;
     let mut ladder = Ladder::new(config.infer.model, rungs, steps_down);
-    let options = Options { deadline: config.budget.depth(), lossless: arguments.lossless };
+    let options = Options {
+        deadline: config.budget.depth(),
+        lossless: arguments.lossless,
+    };
 
     let ports = Ports::<Ipc>::open(config.instance(), "infer", config.limits())?;
-    let report =
-        infer::run(&ports, &mut engines, &mut ladder, options, &monotonic_ns, &stop)?;
+    let report = infer::run(
+        &ports,
+        &mut engines,
+        &mut ladder,
+        options,
+        &monotonic_ns,
+        &stop,
+    )?;
     println!("{}", serde_json::to_string(&report)?);
     Ok(())
 }

@@ -129,5 +129,9 @@ fn stop_on_signals() -> std::io::Result<Arc<AtomicBool>> {
 }
 
 fn ended_well(stop: &AtomicBool) -> Outcome {
-    if stop.load(Ordering::Relaxed) { Err(Failure::Interrupted) } else { Ok(()) }
+    if stop.load(Ordering::Relaxed) {
+        Err(Failure::Interrupted)
+    } else {
+        Ok(())
+    }
 }

@@ -91,7 +91,10 @@ pub fn replay(recording: &Path, how: &How, stop: &Arc<AtomicBool>) -> Outcome {
     config.validate("command line")?;
     let prepared = Prepared::open(recording, &config)?;
     let options = SessionOptions {
-        host: HostOptions { pace: how.pace, piece_bytes: how.piece_bytes },
+        host: HostOptions {
+            pace: how.pace,
+            piece_bytes: how.piece_bytes,
+        },
         lossless: how.lossless,
         model: how.model,
         config_path: how.config.clone(),
@@ -116,7 +119,11 @@ pub fn replay(recording: &Path, how: &How, stop: &Arc<AtomicBool>) -> Outcome {
     if let Some(out) = &how.out {
         eprintln!("pictures and depth maps in {}", out.display());
     }
-    if stop.load(Ordering::Relaxed) { Err(Failure::Interrupted) } else { Ok(()) }
+    if stop.load(Ordering::Relaxed) {
+        Err(Failure::Interrupted)
+    } else {
+        Ok(())
+    }
 }
 
 /// Writes contact sheets, depth maps and the report.
@@ -125,7 +132,10 @@ fn write_out(prepared: &Prepared, session: &Session, out: &Path) -> Result<(), F
     for folder in [&sheets, &depth] {
         std::fs::create_dir_all(folder)?;
     }
-    std::fs::write(out.join("report.json"), serde_json::to_string_pretty(&session.report)?)?;
+    std::fs::write(
+        out.join("report.json"),
+        serde_json::to_string_pretty(&session.report)?,
+    )?;
     std::fs::write(out.join("report.txt"), session.report.text())?;
     let recording = prepared.recording();
     let truths: Vec<ExposureTruth> = match recording.exposures_truth() {
@@ -134,7 +144,12 @@ fn write_out(prepared: &Prepared, session: &Session, out: &Path) -> Result<(), F
     };
     let samples = recording.samples()?;
     let bar = progress::bar(session.observed.kept.len() as u64, "drawing");
-    for kept in session.observed.kept.values().filter(|k: &&Kept| !k.depth.is_empty()) {
+    for kept in session
+        .observed
+        .kept
+        .values()
+        .filter(|k: &&Kept| !k.depth.is_empty())
+    {
         let truth = truth_of(kept, &truths)
             .filter(|t| samples.contains(&t.index))
             .map(|t| recording.sample_truth(t.index))

@@ -24,7 +24,9 @@ pub struct Arguments {
 /// Describes or compares.
 #[expect(clippy::print_stdout, reason = "the answer is this command's output")]
 pub fn run(arguments: &Arguments) -> Outcome {
-    let Some(dir) = &arguments.parity else { return describe_family(arguments.json) };
+    let Some(dir) = &arguments.parity else {
+        return describe_family(arguments.json);
+    };
     let report = parity(dir)?;
     if arguments.json {
         let rows: Vec<_> = report
@@ -40,7 +42,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
                 })
             })
             .collect();
-        println!("{}", serde_json::json!({ "within": report.is_within(), "tensors": rows }));
+        println!(
+            "{}",
+            serde_json::json!({ "within": report.is_within(), "tensors": rows })
+        );
     } else {
         print!("{report}");
     }
@@ -54,8 +59,10 @@ pub fn run(arguments: &Arguments) -> Outcome {
 #[expect(clippy::print_stdout, reason = "the answer is this command's output")]
 fn describe_family(json: bool) -> Outcome {
     let family = [Config::full(), Config::s(), Config::xs(), Config::tiny()];
-    let described: Vec<Description> =
-        family.iter().map(|config| describe(config, 256, 256)).collect::<Result<_, _>>()?;
+    let described: Vec<Description> = family
+        .iter()
+        .map(|config| describe(config, 256, 256))
+        .collect::<Result<_, _>>()?;
     if json {
         println!("{}", serde_json::to_string_pretty(&described)?);
         return Ok(());
@@ -71,7 +78,10 @@ fn describe_family(json: bool) -> Outcome {
             member.size[0],
         );
         for module in &member.modules {
-            println!("  {:<20} {:>10} parameters {:>9.3} GMAC", module.name, module.params, module.gmac);
+            println!(
+                "  {:<20} {:>10} parameters {:>9.3} GMAC",
+                module.name, module.params, module.gmac
+            );
         }
     }
     Ok(())

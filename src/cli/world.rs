@@ -3,7 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use noctule_world::{DriveOptions, DriveProgress, DriveSummary, Faults, Tier, WorldError, record_drive};
+use noctule_world::{
+    DriveOptions, DriveProgress, DriveSummary, Faults, Tier, WorldError, record_drive,
+};
 
 use super::{Outcome, progress};
 
@@ -55,11 +57,22 @@ pub fn seconds(seconds: f64) -> Duration {
 /// Renders a drive with a progress bar.
 pub fn render(options: &DriveOptions, out: &Path) -> Result<DriveSummary, WorldError> {
     let bar = progress::bar(1000, "rendering the night");
-    let summary = record_drive(options, out, |DriveProgress { rendered_s, total_s }| {
-        // Between 0 and 1000.
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded")]
-        bar.set_position((1000.0 * rendered_s / total_s) as u64);
-    });
+    let summary = record_drive(
+        options,
+        out,
+        |DriveProgress {
+             rendered_s,
+             total_s,
+         }| {
+            // Between 0 and 1000.
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "bounded"
+            )]
+            bar.set_position((1000.0 * rendered_s / total_s) as u64);
+        },
+    );
     bar.finish_and_clear();
     summary
 }

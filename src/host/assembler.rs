@@ -4,8 +4,8 @@
 
 use noctule_camera::StampedAt as CameraStampedAt;
 use noctule_raster::{
-    EgoPolicy, EventHistory, Exposure as RasterExposure, Grid, ImagePlanes, ImageView, Retimed, Samples,
-    SparseRaster, VoxelRaster,
+    EgoPolicy, EventHistory, Exposure as RasterExposure, Grid, ImagePlanes, ImageView, Retimed,
+    Samples, SparseRaster, VoxelRaster,
 };
 use noctule_sensor::{Evk4, Realtime, Stamp, Tai};
 
@@ -33,7 +33,10 @@ const FIRST_WIDTH_NS: i64 = 100_000_000;
 enum Exposures {
     Strobe(Box<ExposureTracker>),
     Periodic(PeriodicExposures),
-    Sweeps { exposures: VirtualExposures, sweep: Option<(u32, Stamp<Tai>)> },
+    Sweeps {
+        exposures: VirtualExposures,
+        sweep: Option<(u32, Stamp<Tai>)>,
+    },
 }
 
 /// Latencies inside the host.
@@ -88,18 +91,26 @@ impl<O: Outlet> Assembler<O> {
     /// When the rig's geometry cannot be rastered.
     pub fn new(rig: &Rig, outlet: O) -> Result<Self, RigError> {
         let layout = rig.layout;
-        let voxels = rig.voxels.clone().map(|map| VoxelRaster::new(layout.steps, map)).transpose()?;
+        let voxels = rig
+            .voxels
+            .clone()
+            .map(|map| VoxelRaster::new(layout.steps, map))
+            .transpose()?;
         let exposures = match rig.exposures {
-            ExposureSource::Strobe(config) => Exposures::Strobe(Box::new(ExposureTracker::new(config))),
+            ExposureSource::Strobe(config) => {
+                Exposures::Strobe(Box::new(ExposureTracker::new(config)))
+            }
             ExposureSource::Periodic { period, width } => {
-                let nanos = |d: std::time::Duration| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX);
+                let nanos =
+                    |d: std::time::Duration| i64::try_from(d.as_nanos()).unwrap_or(i64::MAX);
                 PeriodicExposures::new(nanos(period), nanos(width))
                     .map(Exposures::Periodic)
                     .ok_or(RigError::NoSensor)?
             }
-            ExposureSource::Sweeps => {
-                Exposures::Sweeps { exposures: VirtualExposures::new(), sweep: None }
-            }
+            ExposureSource::Sweeps => Exposures::Sweeps {
+                exposures: VirtualExposures::new(),
+                sweep: None,
+            },
         };
         let dimension = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         Ok(Self {
@@ -118,11 +129,17 @@ impl<O: Outlet> Assembler<O> {
             timeline: Timeline::new(rig.timeline),
             exposures,
             closer: BundleCloser::new(rig.bundles),
-            history: EventHistory::new(if voxels.is_some() { rig.history_events } else { 1 })?,
+            history: EventHistory::new(if voxels.is_some() {
+                rig.history_events
+            } else {
+                1
+            })?,
             voxels,
             rastering: None,
             sparse: rig.sparse.as_ref().map(SparseRaster::new).transpose()?,
-            planes: rig.image.map(|rescale| (ImagePlanes::new(rescale), rescale.sensor())),
+            planes: rig
+                .image
+                .map(|rescale| (ImagePlanes::new(rescale), rescale.sensor())),
             // One more than may be pending: a decision makes room after a new one has opened.
             bay: Bay::new(rig.bundles.pending_max),
             images: Vec::with_capacity(rig.images_held + 1),
@@ -192,7 +209,8 @@ impl<O: Outlet> Assembler<O> {
         }
         self.hear(now);
         self.finish_passed_voxels();
-        self.closer.events_passed(watermark, now, &mut |d| self.decided.push(d));
+        self.closer
+            .events_passed(watermark, now, &mut |d| self.decided.push(d));
     }
 
     fn evk4_restarted(&mut self, now: Stamp<Realtime>) {
@@ -201,7 +219,8 @@ impl<O: Outlet> Assembler<O> {
             tracker.clock_changed(&mut |event| self.said.push(event));
         }
         self.hear(now);
-        self.closer.restarted(Stream::Events, now, &mut |d| self.decided.push(d));
+        self.closer
+            .restarted(Stream::Events, now, &mut |d| self.decided.push(d));
     }
 
     /// Takes the returns of a packet.
@@ -217,7 +236,8 @@ impl<O: Outlet> Assembler<O> {
         let observed = self.timeline.lidar_arrival(block.end, block.arrival);
         if matches!(observed, Observation::NewEpoch(_)) || block.clock_jumped {
             self.lidar_passed = None;
-            self.closer.restarted(Stream::Lidar, block.arrival, &mut |d| self.decided.push(d));
+            self.closer
+                .restarted(Stream::Lidar, block.arrival, &mut |d| self.decided.push(d));
         }
         let usable = matches!(observed, Observation::Used | Observation::NewEpoch(_));
         let Some(map) = self.timeline.lidar_to_tai().filter(|_| usable) else {
@@ -233,7 +253,10 @@ impl<O: Outlet> Assembler<O> {
             let passed = map.apply(watermark);
             self.lidar_passed = Some(passed);
             self.draw_passed_sparse(passed);
-            self.closer.passed(Stream::Lidar, passed, block.arrival, &mut |d| self.decided.push(d));
+            self.closer
+                .passed(Stream::Lidar, passed, block.arrival, &mut |d| {
+                    self.decided.push(d)
+                });
             self.sweep(block.sweep, passed, block.arrival);
         }
         self.decide()
@@ -241,7 +264,9 @@ impl<O: Outlet> Assembler<O> {
 
     /// Without an event camera, every sweep is an exposure.
     fn sweep(&mut self, number: u32, at: Stamp<Tai>, now: Stamp<Realtime>) {
-        let Exposures::Sweeps { exposures, sweep } = &mut self.exposures else { return };
+        let Exposures::Sweeps { exposures, sweep } = &mut self.exposures else {
+            return;
+        };
         match *sweep {
             Some((known, _)) if known == number => return,
             Some((_, began)) => {
@@ -255,7 +280,8 @@ impl<O: Outlet> Assembler<O> {
         *sweep = Some((number, at));
         self.hear(now);
         self.draw_passed_sparse(at);
-        self.closer.passed(Stream::Lidar, at, now, &mut |d| self.decided.push(d));
+        self.closer
+            .passed(Stream::Lidar, at, now, &mut |d| self.decided.push(d));
     }
 
     /// Takes an image; it comes back through [`take_returned`](Self::take_returned).
@@ -276,7 +302,9 @@ impl<O: Outlet> Assembler<O> {
                 CameraStampedAt::StartOfExposure => StampedAt::Start,
                 CameraStampedAt::EndOfExposure => StampedAt::End,
             },
-            exposure_ns: i64::try_from(stamp.exposure_set_ns).ok().filter(|&ns| ns > 0),
+            exposure_ns: i64::try_from(stamp.exposure_set_ns)
+                .ok()
+                .filter(|&ns| ns > 0),
             arrival: stamp.arrival,
         };
         if self.images.len() >= self.images_held {
@@ -353,7 +381,12 @@ impl<O: Outlet> Assembler<O> {
         while let Some(&event) = self.said.get(index) {
             index += 1;
             match event {
-                ExposureEvent::Opened { id, open, close_predicted, .. } => {
+                ExposureEvent::Opened {
+                    id,
+                    open,
+                    close_predicted,
+                    ..
+                } => {
                     self.opened(id, open, close_predicted);
                 }
                 ExposureEvent::Closed(exposure) => {
@@ -387,7 +420,8 @@ impl<O: Outlet> Assembler<O> {
                 }
             }
             let map = self.timeline.evk4_to_tai().map(|(map, _)| map);
-            self.closer.exposure(&event, map.as_ref(), now, &mut |d| self.decided.push(d));
+            self.closer
+                .exposure(&event, map.as_ref(), now, &mut |d| self.decided.push(d));
         }
         self.said.clear();
     }
@@ -404,8 +438,7 @@ impl<O: Outlet> Assembler<O> {
             return;
         };
         let close = close_predicted.unwrap_or_else(|| open.offset_nanos(FIRST_WIDTH_NS));
-        if let (Some(voxels), Ok(predicted)) =
-            (&mut self.voxels, RasterExposure::new(open, close))
+        if let (Some(voxels), Ok(predicted)) = (&mut self.voxels, RasterExposure::new(open, close))
         {
             voxels.begin(predicted, first_event(&self.history, open));
             self.rastering = Some(id);
@@ -413,15 +446,12 @@ impl<O: Outlet> Assembler<O> {
         self.bay.add(id, slot, open);
     }
 
-    fn imaged(
-        &mut self,
-        id: u64,
-        open: Stamp<Evk4>,
-        close: Stamp<Evk4>,
-        image: Option<u64>,
-    ) {
+    fn imaged(&mut self, id: u64, open: Stamp<Evk4>, close: Stamp<Evk4>, image: Option<u64>) {
         let Some(sequence) = image else { return };
-        let lease = self.images.iter().position(|i| u64::from(i.stamp.sequence) == sequence);
+        let lease = self
+            .images
+            .iter()
+            .position(|i| u64::from(i.stamp.sequence) == sequence);
         if let Some(berth) = self.bay.get(id) {
             if berth.close != Some(close) || berth.open != open {
                 berth.times = None;
@@ -441,8 +471,10 @@ impl<O: Outlet> Assembler<O> {
     }
 
     fn release(&mut self, sequence: u64) {
-        if let Some(index) =
-            self.images.iter().position(|i| u64::from(i.stamp.sequence) == sequence)
+        if let Some(index) = self
+            .images
+            .iter()
+            .position(|i| u64::from(i.stamp.sequence) == sequence)
         {
             let image = self.images.remove(index);
             self.returned.push(image);
@@ -463,11 +495,20 @@ impl<O: Outlet> Assembler<O> {
 
     /// Finishes the voxels of closed exposures whose events are all here.
     fn finish_passed_voxels(&mut self) {
-        let (Some(voxels), Some(passed)) = (&mut self.voxels, self.events_passed) else { return };
+        let (Some(voxels), Some(passed)) = (&mut self.voxels, self.events_passed) else {
+            return;
+        };
         for berth in self.bay.iter_mut() {
             if berth.voxels.is_none() && berth.close.is_some_and(|close| close <= passed) {
                 let was_open = self.rastering == Some(berth.id);
-                finish_voxels(voxels, &self.history, &self.layout, berth, was_open, &mut self.raster);
+                finish_voxels(
+                    voxels,
+                    &self.history,
+                    &self.layout,
+                    berth,
+                    was_open,
+                    &mut self.raster,
+                );
                 self.rastering = self.rastering.filter(|_| !was_open);
             }
         }
@@ -477,16 +518,30 @@ impl<O: Outlet> Assembler<O> {
     /// this edge in the stream is here, and none follows that far behind.
     fn finish_voxels_before(&mut self, open: Stamp<Evk4>) {
         let Some(id) = self.rastering else { return };
-        let (Some(voxels), Some(berth)) = (&mut self.voxels, self.bay.get(id)) else { return };
+        let (Some(voxels), Some(berth)) = (&mut self.voxels, self.bay.get(id)) else {
+            return;
+        };
         let straggle_ns = i64::try_from(STRAGGLE_US * 1000).unwrap_or(i64::MAX);
-        if berth.close.is_some_and(|close| close.offset_nanos(straggle_ns) <= open) {
-            finish_voxels(voxels, &self.history, &self.layout, berth, true, &mut self.raster);
+        if berth
+            .close
+            .is_some_and(|close| close.offset_nanos(straggle_ns) <= open)
+        {
+            finish_voxels(
+                voxels,
+                &self.history,
+                &self.layout,
+                berth,
+                true,
+                &mut self.raster,
+            );
             self.rastering = None;
         }
     }
 
     fn draw_passed_sparse(&mut self, passed: Stamp<Tai>) {
-        let Some(sparse) = &mut self.sparse else { return };
+        let Some(sparse) = &mut self.sparse else {
+            return;
+        };
         for berth in self.bay.iter_mut() {
             if berth.close.is_none() || berth.sparse_drawn {
                 continue;
@@ -506,7 +561,9 @@ impl<O: Outlet> Assembler<O> {
         while !self.decided.is_empty() {
             let decision = self.decided.remove(0);
             let decided_ns = self.outlet.now_ns();
-            let Some(mut berth) = self.bay.take(decision.exposure.id) else { continue };
+            let Some(mut berth) = self.bay.take(decision.exposure.id) else {
+                continue;
+            };
             let was_open = self.rastering == Some(berth.id);
             self.rastering = self.rastering.filter(|_| !was_open);
             self.complete(&mut berth, &decision, was_open);
@@ -526,7 +583,14 @@ impl<O: Outlet> Assembler<O> {
             && berth.voxels != Some((exposure.open, exposure.close))
         {
             let was_open = was_open && berth.voxels.is_none();
-            finish_voxels(voxels, &self.history, &self.layout, berth, was_open, &mut self.raster);
+            finish_voxels(
+                voxels,
+                &self.history,
+                &self.layout,
+                berth,
+                was_open,
+                &mut self.raster,
+            );
             // A raster of another exposure that was under way has been abandoned for this one.
             self.rastering = None;
         }
@@ -548,10 +612,18 @@ impl<O: Outlet> Assembler<O> {
         let sent = self.outlet.send(berth.slot, header)?;
         self.bundles.sent += 1;
         let stages = sent.stages;
-        self.latency.close_to_decided.record(stages.close_received_ns, stages.decided_ns);
-        self.latency.close_to_sent.record(stages.close_received_ns, stages.sent_ns);
-        self.latency.decided_to_sent.record(stages.decided_ns, stages.sent_ns);
-        self.latency.inputs_to_sent.record(stages.inputs_received_ns, stages.sent_ns);
+        self.latency
+            .close_to_decided
+            .record(stages.close_received_ns, stages.decided_ns);
+        self.latency
+            .close_to_sent
+            .record(stages.close_received_ns, stages.sent_ns);
+        self.latency
+            .decided_to_sent
+            .record(stages.decided_ns, stages.sent_ns);
+        self.latency
+            .inputs_to_sent
+            .record(stages.inputs_received_ns, stages.sent_ns);
         Ok(())
     }
 
@@ -561,7 +633,8 @@ impl<O: Outlet> Assembler<O> {
         decision: &BundleDecision,
         decided_ns: u64,
     ) -> BundleHeader {
-        let lost = |stream: Stream| u32::try_from(decision.lost[stream.index()]).unwrap_or(u32::MAX);
+        let lost =
+            |stream: Stream| u32::try_from(decision.lost[stream.index()]).unwrap_or(u32::MAX);
         let flags = self.flags_of(berth, decision);
         let mut header = BundleHeader {
             sequence: decision.sequence,
@@ -688,7 +761,9 @@ fn times<L>(timeline: &Timeline, layout: &BundleLayout, berth: &Berth<L>) -> Opt
     for (k, centre) in (0..steps).zip(&mut centres) {
         *centre = map.apply(berth.open.offset_nanos(width * (2 * k + 1) / (2 * steps)));
     }
-    let uncertainty_ns = map.uncertainty_at(berth.open).max(map.uncertainty_at(close));
+    let uncertainty_ns = map
+        .uncertainty_at(berth.open)
+        .max(map.uncertainty_at(close));
     Some(Times {
         open: map.apply(berth.open),
         close: map.apply(close),
@@ -705,10 +780,16 @@ fn draw_sparse<L: Slot>(
     report: &mut RasterReport,
 ) {
     let Some(times) = berth.times else { return };
-    let Some(planes) = berth.slot.planes(layout) else { return };
+    let Some(planes) = berth.slot.planes(layout) else {
+        return;
+    };
     berth.sparse_drawn = true;
     (berth.returns, berth.has_pass, berth.has_motion) = (0, false, true);
-    for (centre, out) in times.centres.iter().zip(planes.sparse.chunks_exact_mut(layout.plane())) {
+    for (centre, out) in times
+        .centres
+        .iter()
+        .zip(planes.sparse.chunks_exact_mut(layout.plane()))
+    {
         let moved = sparse.draw(*centre, EgoPolicy::Compensate, out);
         let drawn = match moved {
             Ok(drawn) => Some(drawn),
@@ -737,7 +818,9 @@ fn finish_voxels<L: Slot>(
     report: &mut RasterReport,
 ) {
     let Some(close) = berth.close else { return };
-    let Some(planes) = berth.slot.planes(layout) else { return };
+    let Some(planes) = berth.slot.planes(layout) else {
+        return;
+    };
     let out = planes.voxels;
     let Ok(exposure) = RasterExposure::new(berth.open, close) else {
         out.fill(0.0);

@@ -45,7 +45,9 @@ pub(super) struct Bay<L> {
 
 impl<L> Bay<L> {
     pub fn new(capacity: usize) -> Self {
-        Self { berths: Vec::with_capacity(capacity) }
+        Self {
+            berths: Vec::with_capacity(capacity),
+        }
     }
 
     pub fn add(&mut self, id: u64, slot: L, open: Stamp<Evk4>) {

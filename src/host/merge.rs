@@ -42,8 +42,16 @@ struct Head<T> {
 
 impl<T> Head<T> {
     fn new(lane: Option<Consumer<T>>) -> Self {
-        let floor = if lane.is_some() { Stamp::ZERO } else { Stamp::MAX };
-        Self { lane, block: None, floor }
+        let floor = if lane.is_some() {
+            Stamp::ZERO
+        } else {
+            Stamp::MAX
+        };
+        Self {
+            lane,
+            block: None,
+            floor,
+        }
     }
 
     /// Looks for a block; `arrival` reads its stamp.
@@ -98,8 +106,12 @@ pub fn run<O: Outlet>(
         images.look(|b| b.stamp.arrival);
         motion.look(MotionBlock::arrival);
         let floors: Promises = [events.floor, lidar.floor, images.floor, motion.floor];
-        let ready =
-            [events.block.is_some(), lidar.block.is_some(), images.block.is_some(), motion.block.is_some()];
+        let ready = [
+            events.block.is_some(),
+            lidar.block.is_some(),
+            images.block.is_some(),
+            motion.block.is_some(),
+        ];
         let (next, earliest) = earliest(&floors);
         if !ready[next] {
             if events.is_over() && lidar.is_over() && images.is_over() && motion.is_over() {

@@ -103,7 +103,9 @@ impl Rig {
         let image = image_rescale(meta, known, grid)?;
         let camera = pinhole(&known.camera)?.rescaled(&image);
         let voxels = match &meta.events {
-            Some(events) if calibration.is_some() => Some(event_map(events, known, &image, &camera, grid)?),
+            Some(events) if calibration.is_some() => {
+                Some(event_map(events, known, &image, &camera, grid)?)
+            }
             Some(events) => Some(centred_square(events, grid)?),
             None => None,
         };
@@ -125,7 +127,12 @@ impl Rig {
             depth_m_max: config.grid.depth_m_max,
             timeline: timeline(&exposures, known),
             exposures,
-            bundles: BundleConfig { enabled, deadline_ns, pending_max: 4, ..BundleConfig::default() },
+            bundles: BundleConfig {
+                enabled,
+                deadline_ns,
+                pending_max: 4,
+                ..BundleConfig::default()
+            },
             voxels,
             sparse,
             image: meta.camera.as_ref().map(|_| image),
@@ -147,7 +154,10 @@ fn timeline(exposures: &ExposureSource, calibration: &Calibration) -> TimelineCo
     let delay = |ns: u64| i64::try_from(ns).unwrap_or(0);
     let delays = &calibration.delays_ns;
     let arrivals = |base: EnvelopeConfig, fixed_delay_ns| {
-        SensorClock::Arrivals(EnvelopeConfig { fixed_delay_ns, ..base })
+        SensorClock::Arrivals(EnvelopeConfig {
+            fixed_delay_ns,
+            ..base
+        })
     };
     let base = TimelineConfig::free_running();
     TimelineConfig {
@@ -164,7 +174,11 @@ fn timeline(exposures: &ExposureSource, calibration: &Calibration) -> TimelineCo
 
 fn exposure_source(config: &Config, meta: &Meta) -> Result<ExposureSource, RigError> {
     let Some(events) = &meta.events else {
-        return meta.lidar.as_ref().map(|_| ExposureSource::Sweeps).ok_or(RigError::NoSensor);
+        return meta
+            .lidar
+            .as_ref()
+            .map(|_| ExposureSource::Sweeps)
+            .ok_or(RigError::NoSensor);
     };
     let strobe = &config.strobe;
     let Some(wired) = &events.strobe else {
@@ -182,10 +196,17 @@ fn exposure_source(config: &Config, meta: &Meta) -> Result<ExposureSource, RigEr
         close_delay_ns: wired.close_delay_ns + i64::from(strobe.close_delay_us) * 1000,
         ..StrobeConfig::default()
     };
-    Ok(ExposureSource::Strobe(TrackerConfig { strobe, ..TrackerConfig::default() }))
+    Ok(ExposureSource::Strobe(TrackerConfig {
+        strobe,
+        ..TrackerConfig::default()
+    }))
 }
 
-fn image_rescale(meta: &Meta, calibration: &Calibration, grid: Grid) -> Result<Rescale, RasterError> {
+fn image_rescale(
+    meta: &Meta,
+    calibration: &Calibration,
+    grid: Grid,
+) -> Result<Rescale, RasterError> {
     let lens = &calibration.camera;
     let sensor = Grid::new(lens.width, lens.height);
     let asked = meta.crop;
@@ -196,12 +217,23 @@ fn image_rescale(meta: &Meta, calibration: &Calibration, grid: Grid) -> Result<R
 }
 
 fn crop(r: Rectangle) -> Crop {
-    Crop { x: r.x, y: r.y, width: r.width, height: r.height }
+    Crop {
+        x: r.x,
+        y: r.y,
+        width: r.width,
+        height: r.height,
+    }
 }
 
 fn pinhole(lens: &Lens) -> Result<Pinhole, RasterError> {
     let d = &lens.distortion;
-    let distortion = Distortion { k1: d.k1, k2: d.k2, p1: d.p1, p2: d.p2, k3: d.k3 };
+    let distortion = Distortion {
+        k1: d.k1,
+        k2: d.k2,
+        p1: d.p1,
+        p2: d.p2,
+        k3: d.k3,
+    };
     Pinhole::new(lens.fx, lens.fy, lens.cx, lens.cy, distortion)
 }
 
@@ -209,7 +241,8 @@ fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z] = pose.translation_m;
     let rotation = Matrix3::from_fn(|row, column| pose.rotation[row][column]);
     // The calibration was checked to be orthonormal.
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
+    let rotation =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     Isometry3::from_parts(Translation3::new(x, y, z), rotation)
 }
 
@@ -249,8 +282,14 @@ fn shifted_crop(
     let shifted = |at: u32, by: f64| {
         let at = f64::from(at) + by.round();
         // Checked to be a whole number that fits.
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "in range")]
-        (0.0..=f64::from(u32::MAX)).contains(&at).then_some(at as u32)
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "in range"
+        )]
+        (0.0..=f64::from(u32::MAX))
+            .contains(&at)
+            .then_some(at as u32)
     };
     let (x, y) = (shifted(crop.x, dx)?, shifted(crop.y, dy)?);
     let fits = x + crop.width <= events.width && y + crop.height <= events.height;
@@ -260,9 +299,17 @@ fn shifted_crop(
 /// The largest square in the middle of the sensor: the view of an event camera alone.
 fn centred_square(meta: &EventsMeta, grid: Grid) -> Result<PixelMap, RasterError> {
     let side = meta.width.min(meta.height);
-    let crop =
-        Crop { x: (meta.width - side) / 2, y: (meta.height - side) / 2, width: side, height: side };
-    Ok(PixelMap::rescaled(&Rescale::new(Grid::new(meta.width, meta.height), crop, grid)?))
+    let crop = Crop {
+        x: (meta.width - side) / 2,
+        y: (meta.height - side) / 2,
+        width: side,
+        height: side,
+    };
+    Ok(PixelMap::rescaled(&Rescale::new(
+        Grid::new(meta.width, meta.height),
+        crop,
+        grid,
+    )?))
 }
 
 fn sparse_config(

@@ -73,7 +73,10 @@ impl Engines {
         #[cfg(not(feature = "model"))]
         if let Some(model) = config.infer.weights.keys().next() {
             let reason = "this program was built without networks (feature `model`)";
-            return Err(InferError::Missing { model: *model, reason });
+            return Err(InferError::Missing {
+                model: *model,
+                reason,
+            });
         }
         Ok(engines)
     }
@@ -104,18 +107,27 @@ impl Engines {
     ) -> Result<Run<'a>, InferError> {
         let plane = self.layout.plane();
         match model {
-            ModelId::Nearest | ModelId::Fill => {
-                Ok(Run { model, plane, kind: Kind::Classical(&mut self.completer) })
-            }
+            ModelId::Nearest | ModelId::Fill => Ok(Run {
+                model,
+                plane,
+                kind: Kind::Classical(&mut self.completer),
+            }),
             #[cfg(feature = "model")]
             _ => {
                 let sequence = self.networks.begin(model, &self.layout, planes)?;
-                Ok(Run { model, plane, kind: Kind::Network(sequence) })
+                Ok(Run {
+                    model,
+                    plane,
+                    kind: Kind::Network(sequence),
+                })
             }
             #[cfg(not(feature = "model"))]
             _ => {
                 let _ = planes;
-                Err(InferError::Missing { model, reason: "this program was built without networks" })
+                Err(InferError::Missing {
+                    model,
+                    reason: "this program was built without networks",
+                })
             }
         }
     }
@@ -133,14 +145,23 @@ impl Engines {
         let layout = self.layout;
         let voxels = vec![0.0; layout.voxels_len()];
         // One return in every sixteenth pixel of each row, as dense as a LiDAR is.
-        let sparse: Vec<f32> =
-            (0..layout.sparse_len()).map(|i| if i % 37 == 0 { 10.0 } else { 0.0 }).collect();
+        let sparse: Vec<f32> = (0..layout.sparse_len())
+            .map(|i| if i % 37 == 0 { 10.0 } else { 0.0 })
+            .collect();
         let image = vec![0.5; layout.image_len()];
-        let planes = BundlePlanes { voxels: &voxels, sparse: &sparse, image: &image };
+        let planes = BundlePlanes {
+            voxels: &voxels,
+            sparse: &sparse,
+            image: &image,
+        };
         let (mut depth, mut trust) = (vec![0.0; layout.plane()], vec![0.0; layout.plane()]);
         let mut rungs = Vec::new();
         for model in self.models().into_iter().filter(|m| *m <= asked) {
-            let mut rung = Rung { model, begin_ns: 0, step_ns: 0 };
+            let mut rung = Rung {
+                model,
+                begin_ns: 0,
+                step_ns: 0,
+            };
             // The first round warms caches and pages, the second counts.
             for _ in 0..2 {
                 let start = now_ns();
@@ -193,7 +214,9 @@ impl Run<'_> {
         match &mut self.kind {
             Kind::Classical(completer) if self.model == ModelId::Nearest => {
                 completer.nearest(sparse, depth, trust)?;
-                trust.iter_mut().for_each(|distance| *distance = confidence(*distance));
+                trust
+                    .iter_mut()
+                    .for_each(|distance| *distance = confidence(*distance));
                 Ok(())
             }
             Kind::Classical(completer) => Ok(completer.fill(sparse, depth, trust)?),

@@ -51,7 +51,11 @@ impl Ladder {
     #[must_use]
     pub fn choose(&self, left_ns: u64, steps: u64) -> Choice {
         let fits = |r: &&Rung| r.sequence_ns(steps) <= left_ns;
-        let among = if self.steps_down { &self.rungs[..] } else { &self.rungs[..1.min(self.rungs.len())] };
+        let among = if self.steps_down {
+            &self.rungs[..]
+        } else {
+            &self.rungs[..1.min(self.rungs.len())]
+        };
         match among.iter().find(fits) {
             Some(rung) if self.rungs.first().is_some_and(|r| r.model == rung.model) => {
                 Choice::AsAsked(rung.model)
@@ -68,13 +72,19 @@ impl Ladder {
             return None;
         }
         let below = self.rungs.iter().filter(|r| r.model < model);
-        below.into_iter().find(|r| r.sequence_ns(steps) <= left_ns).map(|r| r.model)
+        below
+            .into_iter()
+            .find(|r| r.sequence_ns(steps) <= left_ns)
+            .map(|r| r.model)
     }
 
     /// The predicted time of one more step of `model`.
     #[must_use]
     pub fn step_ns(&self, model: ModelId) -> u64 {
-        self.rungs.iter().find(|r| r.model == model).map_or(0, |r| r.step_ns)
+        self.rungs
+            .iter()
+            .find(|r| r.model == model)
+            .map_or(0, |r| r.step_ns)
     }
 
     /// Learns from a sequence that ran: up at once to what it took, down slowly.
@@ -88,7 +98,11 @@ impl Ladder {
 
 /// Half-way up when slower than thought, an eighth of the way down when faster.
 fn blend(known: u64, seen: u64) -> u64 {
-    if seen > known { known + (seen - known).div_ceil(2) } else { known - (known - seen) / 8 }
+    if seen > known {
+        known + (seen - known).div_ceil(2)
+    } else {
+        known - (known - seen) / 8
+    }
 }
 
 #[cfg(test)]
@@ -96,7 +110,11 @@ mod tests {
     use super::*;
 
     fn rung(model: ModelId, begin_ns: u64, step_ns: u64) -> Rung {
-        Rung { model, begin_ns, step_ns }
+        Rung {
+            model,
+            begin_ns,
+            step_ns,
+        }
     }
 
     fn ladder(steps_down: bool) -> Ladder {
@@ -112,10 +130,19 @@ mod tests {
     #[test]
     fn the_dearest_that_fits_runs_and_never_one_above_the_one_asked_for() {
         assert_eq!(ladder(true).choose(820, 8), Choice::AsAsked(ModelId::Xs));
-        assert_eq!(ladder(true).choose(819, 8), Choice::SteppedDown(ModelId::Fill));
-        assert_eq!(ladder(true).choose(79, 8), Choice::SteppedDown(ModelId::Nearest));
+        assert_eq!(
+            ladder(true).choose(819, 8),
+            Choice::SteppedDown(ModelId::Fill)
+        );
+        assert_eq!(
+            ladder(true).choose(79, 8),
+            Choice::SteppedDown(ModelId::Nearest)
+        );
         assert_eq!(ladder(true).choose(7, 8), Choice::Stale);
-        assert_eq!(ladder(true).choose(u64::MAX, 8), Choice::AsAsked(ModelId::Xs));
+        assert_eq!(
+            ladder(true).choose(u64::MAX, 8),
+            Choice::AsAsked(ModelId::Xs)
+        );
     }
 
     #[test]
@@ -128,7 +155,10 @@ mod tests {
     #[test]
     fn a_sequence_that_falls_behind_goes_on_with_a_cheaper_model() {
         assert_eq!(ladder(true).rescue(ModelId::Xs, 45, 4), Some(ModelId::Fill));
-        assert_eq!(ladder(true).rescue(ModelId::Xs, 39, 4), Some(ModelId::Nearest));
+        assert_eq!(
+            ladder(true).rescue(ModelId::Xs, 39, 4),
+            Some(ModelId::Nearest)
+        );
         assert_eq!(ladder(true).rescue(ModelId::Xs, 3, 4), None);
     }
 

@@ -17,7 +17,10 @@ pub(super) struct Networks {
 fn failed<E: std::error::Error + Send + Sync + 'static>(
     model: ModelId,
 ) -> impl Fn(E) -> InferError {
-    move |cause| InferError::Network { model, cause: Box::new(cause) }
+    move |cause| InferError::Network {
+        model,
+        cause: Box::new(cause),
+    }
 }
 
 impl Networks {
@@ -25,8 +28,11 @@ impl Networks {
     pub fn load(config: &Config) -> Result<Self, InferError> {
         let mut by_model = BTreeMap::new();
         for (&model, path) in &config.infer.weights {
-            let weights = Weights::read(path, &Device::Cpu)
-                .map_err(|cause| InferError::File { model, path: path.clone(), cause: Box::new(cause) })?;
+            let weights = Weights::read(path, &Device::Cpu).map_err(|cause| InferError::File {
+                model,
+                path: path.clone(),
+                cause: Box::new(cause),
+            })?;
             let family = match model {
                 ModelId::S => noctule_erunet::Config::s(),
                 ModelId::Full => noctule_erunet::Config::full(),
@@ -58,11 +64,19 @@ impl Networks {
         planes: &BundlePlanes<'_>,
     ) -> Result<NetworkRun<'a>, InferError> {
         let reason = "no weights are loaded (see [infer.weights])";
-        let network = self.by_model.get(&model).ok_or(InferError::Missing { model, reason })?;
+        let network = self
+            .by_model
+            .get(&model)
+            .ok_or(InferError::Missing { model, reason })?;
         let (h, w) = (layout.height, layout.width);
-        let blur = Tensor::from_slice(planes.image, (1, 3, h, w), &Device::Cpu).map_err(failed(model))?;
+        let blur =
+            Tensor::from_slice(planes.image, (1, 3, h, w), &Device::Cpu).map_err(failed(model))?;
         let sequence = network.begin(&blur).map_err(failed(model))?;
-        Ok(NetworkRun { model, layout: *layout, sequence })
+        Ok(NetworkRun {
+            model,
+            layout: *layout,
+            sequence,
+        })
     }
 }
 
@@ -82,7 +96,12 @@ impl NetworkRun<'_> {
         depth: &mut [f32],
         trust: &mut [f32],
     ) -> Result<(), InferError> {
-        let BundleLayout { bins, height, width, .. } = self.layout;
+        let BundleLayout {
+            bins,
+            height,
+            width,
+            ..
+        } = self.layout;
         let plane = self.layout.plane();
         let model = self.model;
         let voxel = &planes.voxels[step * bins * plane..][..bins * plane];

@@ -34,7 +34,14 @@ pub fn run<S: Service>(
 ) -> Result<InferReport, InferError> {
     let receiver = ports.bundle_receiver()?;
     let sender = ports.depth_sender()?;
-    let mut process = Process { ladder, options, now_ns, sender, report: InferReport::default(), frame: 0 };
+    let mut process = Process {
+        ladder,
+        options,
+        now_ns,
+        sender,
+        report: InferReport::default(),
+        frame: 0,
+    };
     while !stop.load(Ordering::Relaxed) {
         let Some(Newest { frame, passed_over }) = process.next(&receiver)? else {
             receiver.wait(Duration::from_millis(50))?;
@@ -63,7 +70,10 @@ impl<S: Service> Process<'_, S> {
         receiver: &Receiver<S, BundleHeader>,
     ) -> Result<Option<Newest<S, BundleHeader>>, InferError> {
         if self.options.lossless {
-            return Ok(receiver.receive()?.map(|frame| Newest { frame, passed_over: 0 }));
+            return Ok(receiver.receive()?.map(|frame| Newest {
+                frame,
+                passed_over: 0,
+            }));
         }
         Ok(receiver.receive_newest()?)
     }
@@ -101,8 +111,13 @@ impl<S: Service> Process<'_, S> {
             }
         };
         self.report.sequences_stepped_down += u64::from(flags & flag::STEPPED_DOWN != 0);
-        let sequence =
-            Sequence { header, layout, planes, bundle_received_ns, started_ns: (self.now_ns)() };
+        let sequence = Sequence {
+            header,
+            layout,
+            planes,
+            bundle_received_ns,
+            started_ns: (self.now_ns)(),
+        };
         self.report.model(model.name()).sequences += 1;
         let mut run = engines.begin(model, &planes)?;
         let begun_ns = (self.now_ns)();
@@ -147,7 +162,9 @@ impl<S: Service> Process<'_, S> {
         if self.options.lossless || self.ladder.step_ns(model) <= left_ns {
             return Pace::Keep;
         }
-        self.ladder.rescue(model, left_ns, to_go.into()).map_or(Pace::End, Pace::StepDown)
+        self.ladder
+            .rescue(model, left_ns, to_go.into())
+            .map_or(Pace::End, Pace::StepDown)
     }
 
     fn deadline_ns(&self, header: &BundleHeader) -> u64 {

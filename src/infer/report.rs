@@ -42,7 +42,11 @@ impl InferReport {
         let index = match self.models.iter().position(|m| m.model == model) {
             Some(index) => index,
             None => {
-                self.models.push(ModelCount { model: model.to_owned(), sequences: 0, frames: 0 });
+                self.models.push(ModelCount {
+                    model: model.to_owned(),
+                    sequences: 0,
+                    frames: 0,
+                });
                 self.models.len() - 1
             }
         };

@@ -21,13 +21,25 @@ pub fn run(
 ) -> Result<Ingested, IngestError> {
     let header = transfers.header();
     let mut decoder = Decoder::new(header.format, header.geometry);
-    let mut packer = Packer { lane: &mut lane, when_full: flow.when_full, block: None, arrival: Stamp::ZERO, received_ns: 0, newest: None, shed: 0, events: 0, unpackable: 0 };
+    let mut packer = Packer {
+        lane: &mut lane,
+        when_full: flow.when_full,
+        block: None,
+        arrival: Stamp::ZERO,
+        received_ns: 0,
+        newest: None,
+        shed: 0,
+        events: 0,
+        unpackable: 0,
+    };
     let (mut transfer_count, mut bytes) = (0, 0);
     while let Some(transfer) = transfers.next_transfer()? {
         // Transfers come in order; a clock that was set back must not break the promise.
         packer.arrival = packer.arrival.max(transfer.arrival);
         packer.lane.promise(packer.arrival);
-        let Some(received_ns) = flow.pacer.hold(packer.arrival, flow.stop) else { break };
+        let Some(received_ns) = flow.pacer.hold(packer.arrival, flow.stop) else {
+            break;
+        };
         packer.received_ns = received_ns;
         packer.newest = None;
         transfer_count += 1;
@@ -47,7 +59,11 @@ pub fn run(
     decoder.finish();
     let (shed, events, unpackable) = (packer.shed, packer.events, packer.unpackable);
     let errors = decoder.errors();
-    let mut details = vec![("transfers", transfer_count), ("bytes", bytes), ("unpackable", unpackable)];
+    let mut details = vec![
+        ("transfers", transfer_count),
+        ("bytes", bytes),
+        ("unpackable", unpackable),
+    ];
     details.extend(errors.by_kind());
     details.push(("dropped_by_sensor", decoder.rate().dropped()));
     details.extend(file_faults(transfers.faults()));
@@ -145,7 +161,9 @@ impl EventSink for Packer<'_> {
             let free = EventBlock::EVENTS_MAX - block.events.len();
             let (now, later) = rest.split_at(free.min(rest.len()));
             let before = block.events.len();
-            block.events.extend(now.iter().filter_map(|e| PackedEvent::from_event(e).ok()));
+            block
+                .events
+                .extend(now.iter().filter_map(|e| PackedEvent::from_event(e).ok()));
             let packed = (block.events.len() - before) as u64;
             self.events += packed;
             self.unpackable += now.len() as u64 - packed;
@@ -157,7 +175,10 @@ impl EventSink for Packer<'_> {
         self.newest = self.newest.max(Some(edge.t));
         if let Some(block) = self.room() {
             let events_before = block.events.len();
-            block.edges.push(EdgeMark { events_before, edge });
+            block.edges.push(EdgeMark {
+                events_before,
+                edge,
+            });
         } else {
             self.lane.count_lost(1);
         }

@@ -25,7 +25,9 @@ pub fn run(
     while let Some(datagram) = datagrams.next_datagram()? {
         arrival = arrival.max(datagram.t);
         lane.promise(arrival);
-        let Some(received_ns) = flow.pacer.hold(arrival, flow.stop) else { break };
+        let Some(received_ns) = flow.pacer.hold(arrival, flow.stop) else {
+            break;
+        };
         let Some(mut block) = lane.lease(flow.when_full) else {
             shed += 1;
             lane.count_lost(1);

@@ -21,7 +21,12 @@ pub fn run(
     flow: Flow<'_>,
 ) -> Result<Ingested, IngestError> {
     let mut decoder = MotionDecoder::new(signals)?;
-    let mut frames = recording.meta().can.is_some().then(|| recording.can_frames()).transpose()?;
+    let mut frames = recording
+        .meta()
+        .can
+        .is_some()
+        .then(|| recording.can_frames())
+        .transpose()?;
     let mut readings = recording.clock_readings().ok();
     let mut next_frame = next(&mut frames)?;
     let mut next_reading = next(&mut readings)?;
@@ -35,13 +40,19 @@ pub fn run(
             (None, None) => break,
         };
         let block = if frame_first {
-            let Some(frame) = next_frame.take() else { break };
+            let Some(frame) = next_frame.take() else {
+                break;
+            };
             next_frame = next(&mut frames)?;
             frame_count += 1;
             arrival = arrival.max(frame.arrival);
-            decoder.push(&frame.frame, arrival).map(|motion| MotionBlock::Motion { motion })
+            decoder
+                .push(&frame.frame, arrival)
+                .map(|motion| MotionBlock::Motion { motion })
         } else {
-            let Some(reading) = next_reading.take() else { break };
+            let Some(reading) = next_reading.take() else {
+                break;
+            };
             next_reading = next(&mut readings)?;
             reading_count += 1;
             arrival = arrival.max(reading.realtime);

@@ -36,7 +36,9 @@ impl FromStr for Pace {
                 Ok(speed) if speed.is_finite() && (0.001..=1000.0).contains(&speed) => {
                     Ok(Self::Speed(speed))
                 }
-                _ => Err(format!("'{text}': realtime, max or a factor from 0.001 to 1000")),
+                _ => Err(format!(
+                    "'{text}': realtime, max or a factor from 0.001 to 1000"
+                )),
             },
         }
     }
@@ -54,16 +56,25 @@ impl Pacer {
     /// Lets the delivery that arrived at `origin` through at `start_ns`.
     #[must_use]
     pub fn new(pace: Pace, origin: Stamp<Realtime>, start_ns: u64) -> Self {
-        Self { pace, origin, start_ns }
+        Self {
+            pace,
+            origin,
+            start_ns,
+        }
     }
 
     /// The instant at which a delivery is due; `None` when at once.
     #[must_use]
     pub fn due_ns(&self, arrival: Stamp<Realtime>) -> Option<u64> {
-        let Pace::Speed(speed) = self.pace else { return None };
+        let Pace::Speed(speed) = self.pace else {
+            return None;
+        };
         #[expect(clippy::cast_precision_loss, reason = "exact over weeks")]
         let after = arrival.diff_nanos(self.origin) as f64 / speed;
-        #[expect(clippy::cast_possible_truncation, reason = "whole nanoseconds; `as` saturates")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "whole nanoseconds; `as` saturates"
+        )]
         Some(self.start_ns.saturating_add_signed(after as i64))
     }
 
@@ -76,7 +87,9 @@ impl Pacer {
                 return None;
             }
             let now_ns = monotonic_ns();
-            let Some(due_ns) = self.due_ns(arrival) else { return Some(now_ns) };
+            let Some(due_ns) = self.due_ns(arrival) else {
+                return Some(now_ns);
+            };
             if due_ns <= now_ns {
                 return Some(due_ns);
             }
@@ -103,6 +116,9 @@ mod tests {
     fn twice_the_speed_halves_the_wait() {
         let pacer = Pacer::new(Pace::Speed(2.0), Stamp::from_nanos(1_000), 500);
         assert_eq!(pacer.due_ns(Stamp::from_nanos(3_000)), Some(1_500));
-        assert_eq!(Pacer::new(Pace::Max, Stamp::ZERO, 5).due_ns(Stamp::MAX), None);
+        assert_eq!(
+            Pacer::new(Pace::Max, Stamp::ZERO, 5).due_ns(Stamp::MAX),
+            None
+        );
     }
 }

@@ -25,7 +25,8 @@ impl Latency {
     /// were never set and are not recorded.
     pub fn record(&mut self, start_ns: u64, end_ns: u64) {
         if start_ns != 0 && end_ns != 0 {
-            self.histogram.saturating_record(end_ns.saturating_sub(start_ns).max(1));
+            self.histogram
+                .saturating_record(end_ns.saturating_sub(start_ns).max(1));
         }
     }
 
@@ -37,14 +38,20 @@ impl Latency {
 
     /// The latency that `percent` of all stay at or under, microseconds; `None` without samples.
     #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "latencies of under an hour are exact in f64")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "latencies of under an hour are exact in f64"
+    )]
     pub fn percentile_us(&self, percent: f64) -> Option<f64> {
         (self.count() > 0).then(|| self.histogram.value_at_percentile(percent) as f64 / 1e3)
     }
 
     /// The largest latency, microseconds.
     #[must_use]
-    #[expect(clippy::cast_precision_loss, reason = "latencies of under an hour are exact in f64")]
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "latencies of under an hour are exact in f64"
+    )]
     pub fn max_us(&self) -> Option<f64> {
         (self.count() > 0).then(|| self.histogram.max() as f64 / 1e3)
     }
@@ -52,7 +59,11 @@ impl Latency {
     /// p99.9, only when at least 10,000 samples stand behind it.
     #[must_use]
     pub fn p999_us(&self) -> Option<f64> {
-        if self.count() >= 10_000 { self.percentile_us(99.9) } else { None }
+        if self.count() >= 10_000 {
+            self.percentile_us(99.9)
+        } else {
+            None
+        }
     }
 }
 
@@ -67,7 +78,10 @@ mod tests {
             latency.record(5, 5 + us * 1000);
         }
         let near = |value: Option<f64>, expected: f64| {
-            assert!((value.unwrap() - expected).abs() <= expected * 2e-3, "{value:?} {expected}");
+            assert!(
+                (value.unwrap() - expected).abs() <= expected * 2e-3,
+                "{value:?} {expected}"
+            );
         };
         near(latency.percentile_us(50.0), 500.0);
         near(latency.percentile_us(99.0), 990.0);

@@ -74,7 +74,8 @@ pub fn table_of_stages(rows: &[StageRow]) -> String {
         "stage", "offered", "received", "lost", "p50 ms", "p99 ms", "p99.9 ms", "max ms"
     );
     for row in rows {
-        let ms = |us: Option<f64>| us.map_or_else(|| "-".to_owned(), |us| format!("{:.3}", us / 1e3));
+        let ms =
+            |us: Option<f64>| us.map_or_else(|| "-".to_owned(), |us| format!("{:.3}", us / 1e3));
         let _ = writeln!(
             text,
             "{:<width$}  {:>8} {:>8} {:>6} {:>10} {:>10} {:>10} {:>10}",
@@ -121,6 +122,9 @@ mod tests {
         let row = StageRow::new("sent -> received", 10, 9, &latency);
         assert_eq!((row.lost, row.p999_us), (1, None));
         let table = table_of_stages(&[row]);
-        assert!(table.lines().nth(1).is_some_and(|l| l.contains("2.0")), "{table}");
+        assert!(
+            table.lines().nth(1).is_some_and(|l| l.contains("2.0")),
+            "{table}"
+        );
     }
 }

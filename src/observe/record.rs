@@ -22,14 +22,21 @@ pub struct Kept {
 }
 
 impl Kept {
-    pub(super) fn new(header: BundleHeader, layout: &BundleLayout, planes: &BundlePlanes<'_>) -> Self {
+    pub(super) fn new(
+        header: BundleHeader,
+        layout: &BundleLayout,
+        planes: &BundlePlanes<'_>,
+    ) -> Self {
         let plane = layout.plane();
         let mut events = vec![0.0; layout.steps * plane];
-        for (sum, bins) in
-            events.chunks_exact_mut(plane).zip(planes.voxels.chunks_exact(layout.bins * plane))
+        for (sum, bins) in events
+            .chunks_exact_mut(plane)
+            .zip(planes.voxels.chunks_exact(layout.bins * plane))
         {
             for bin in bins.chunks_exact(plane) {
-                sum.iter_mut().zip(bin).for_each(|(sum, value)| *sum += value);
+                sum.iter_mut()
+                    .zip(bin)
+                    .for_each(|(sum, value)| *sum += value);
             }
         }
         Self {

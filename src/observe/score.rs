@@ -50,10 +50,14 @@ struct Sum {
 
 impl Sum {
     fn add(&mut self, pred: &[f32], gt: &[f32], band: &[bool], cap: f32) {
-        let Ok(m) = metrics(pred, gt, DEPTH_M_MIN, cap) else { return };
+        let Ok(m) = metrics(pred, gt, DEPTH_M_MIN, cap) else {
+            return;
+        };
         self.maps += 1;
         for (sum, value) in
-            self.values.iter_mut().zip([m.rmse_mm, m.mae_mm, m.irmse_per_km, m.rel, m.delta1_pct])
+            self.values
+                .iter_mut()
+                .zip([m.rmse_mm, m.mae_mm, m.irmse_per_km, m.rel, m.delta1_pct])
         {
             *sum += value;
         }
@@ -100,7 +104,9 @@ pub fn score<'a>(
     kept: impl Iterator<Item = &'a Kept>,
     cap_m: f32,
 ) -> Result<Option<Scores>, RecordingError> {
-    let Ok(truths) = recording.exposures_truth() else { return Ok(None) };
+    let Ok(truths) = recording.exposures_truth() else {
+        return Ok(None);
+    };
     let truths: Vec<ExposureTruth> = truths.collect::<Result<_, _>>()?;
     let samples = recording.samples()?;
     let (mut model, mut nearest, mut fill) = (Sum::default(), Sum::default(), Sum::default());
@@ -114,10 +120,13 @@ pub fn score<'a>(
         };
         let sample = recording.sample_truth(truth.index)?;
         let (width, height) = (kept.header.width as usize, kept.header.height as usize);
-        let Ok(mut completer) = Completer::new(width, height) else { continue };
+        let Ok(mut completer) = Completer::new(width, height) else {
+            continue;
+        };
         let size = completer.size();
         let plane = width * height;
-        let (mut map, mut aside, mut band) = (vec![0.0; plane], vec![0.0; plane], vec![false; plane]);
+        let (mut map, mut aside, mut band) =
+            (vec![0.0; plane], vec![0.0; plane], vec![false; plane]);
         exposures += 1;
         for (&step, (header, depth)) in &kept.depth {
             let gt = sample.gt(step + 1)?;
@@ -142,5 +151,9 @@ pub fn score<'a>(
         nearest.finish("nearest"),
         fill.finish("fill"),
     ];
-    Ok(Some(Scores { exposures, without_truth, methods }))
+    Ok(Some(Scores {
+        exposures,
+        without_truth,
+        methods,
+    }))
 }

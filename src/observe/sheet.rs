@@ -66,20 +66,32 @@ pub fn draw_sheet(kept: &Kept, truth: Option<&SampleTruth>, path: &Path) -> Resu
     let steps = header.steps as usize;
 
     sheet.row("blurred image, events of the whole exposure");
-    sheet.tile("image", tile(&mut |rgb| { image_to_rgb(&kept.image, rgb); Ok(()) })?)?;
+    sheet.tile(
+        "image",
+        tile(&mut |rgb| {
+            image_to_rgb(&kept.image, rgb);
+            Ok(())
+        })?,
+    )?;
     let all = tile(&mut |rgb| events_to_rgb(&kept.events, steps, 2.0 * EVENTS_FULL, rgb))?;
     sheet.tile("events", all)?;
     if let Some(sharp) = truth.and_then(|t| t.sharp(header.steps).ok()) {
         let fits = sharp.data.len() == 3 * plane;
         if fits {
-            sheet.tile("true image, last step", Canvas::from_rgb(size.width(), size.height(), sharp.data)?)?;
+            sheet.tile(
+                "true image, last step",
+                Canvas::from_rgb(size.width(), size.height(), sharp.data)?,
+            )?;
         }
     }
 
     sheet.row("events per step");
     for step in 0..steps {
         let events = at(&kept.events, step);
-        sheet.tile(&label(kept, step), tile(&mut |rgb| events_to_rgb(&events, 1, EVENTS_FULL, rgb))?)?;
+        sheet.tile(
+            &label(kept, step),
+            tile(&mut |rgb| events_to_rgb(&events, 1, EVENTS_FULL, rgb))?,
+        )?;
     }
     sheet.row("sparse depth per step");
     for step in 0..steps {
@@ -99,7 +111,10 @@ pub fn draw_sheet(kept: &Kept, truth: Option<&SampleTruth>, path: &Path) -> Resu
             .depth
             .iter()
             .filter_map(|(step, (_, depth))| {
-                let gt = truth.gt(step + 1).ok().filter(|gt| gt.data.len() == plane)?;
+                let gt = truth
+                    .gt(step + 1)
+                    .ok()
+                    .filter(|gt| gt.data.len() == plane)?;
                 Some((*step, depth, gt.data))
             })
             .collect();
@@ -127,11 +142,18 @@ pub fn draw_sheet(kept: &Kept, truth: Option<&SampleTruth>, path: &Path) -> Resu
 /// When the folder or a file cannot be written.
 pub fn write_depth(kept: &Kept, folder: &Path) -> Result<(), SheetError> {
     let folder = folder.join(format!("{:06}", kept.header.sequence));
-    std::fs::create_dir_all(&folder)
-        .map_err(|cause| SheetError::Folder { path: folder.clone(), cause })?;
+    std::fs::create_dir_all(&folder).map_err(|cause| SheetError::Folder {
+        path: folder.clone(),
+        cause,
+    })?;
     let (width, height) = (kept.header.width as usize, kept.header.height as usize);
     for (step, (_, depth)) in &kept.depth {
-        save_depth_png16(folder.join(format!("{}.png", step + 1)), width, height, depth)?;
+        save_depth_png16(
+            folder.join(format!("{}.png", step + 1)),
+            width,
+            height,
+            depth,
+        )?;
     }
     Ok(())
 }
@@ -143,7 +165,11 @@ fn note(kept: &Kept) -> String {
     #[expect(clippy::cast_precision_loss, reason = "shown with one decimal")]
     let bound_us = header.uncertainty_ns as f64 / 1e3;
     let names = flag::names(header.flags);
-    let flags = if names.is_empty() { "none".to_owned() } else { names.join(" ") };
+    let flags = if names.is_empty() {
+        "none".to_owned()
+    } else {
+        names.join(" ")
+    };
     format!(
         "{width_ms:.1} ms, {} events, {} returns, times within {bound_us:.1} us, flags: {flags}",
         header.events, header.returns
@@ -158,8 +184,10 @@ fn label(kept: &Kept, step: usize) -> String {
 }
 
 fn mae(depth: &[f32], gt: &[f32]) -> String {
-    noctule_depth::metrics(depth, gt, 0.1, 80.0)
-        .map_or_else(|_| "no truth".to_owned(), |m| format!("mean {:.2} m", m.mae_mm / 1e3))
+    noctule_depth::metrics(depth, gt, 0.1, 80.0).map_or_else(
+        |_| "no truth".to_owned(),
+        |m| format!("mean {:.2} m", m.mae_mm / 1e3),
+    )
 }
 
 fn image_to_rgb(planes: &[f32], rgb: &mut [u8]) {
@@ -167,7 +195,11 @@ fn image_to_rgb(planes: &[f32], rgb: &mut [u8]) {
     for (i, pixel) in rgb.chunks_exact_mut(3).enumerate() {
         for (c, value) in pixel.iter_mut().enumerate() {
             // Clamped to a byte.
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "clamped"
+            )]
             let byte = (planes[c * plane + i].clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
             *value = byte;
         }

@@ -48,7 +48,8 @@ impl Gate {
 
     /// Stops waiting for what was let through so far: whoever had it is dead.
     pub fn give_up(&self) {
-        self.finished.fetch_max(self.passed.load(Ordering::Acquire), Ordering::Release);
+        self.finished
+            .fetch_max(self.passed.load(Ordering::Acquire), Ordering::Release);
     }
 
     fn bundle(&self, sequence: u64) {
@@ -82,7 +83,10 @@ pub fn watch<S: Service>(
     let bundles = ports.bundle_receiver()?;
     let depths = ports.depth_receiver()?;
     ready.store(true, Ordering::Release);
-    let mut observer = Observer { options, observed: Observed::default() };
+    let mut observer = Observer {
+        options,
+        observed: Observed::default(),
+    };
     let mut quiet_since = None;
     loop {
         let mut idle = true;
@@ -94,7 +98,8 @@ pub fn watch<S: Service>(
         // A bundle is sent before its depth, so it is seen first, except across a restart.
         while let Some(depth) = depths.receive()? {
             if observer.depth(&depth) {
-                gate.finished.fetch_max(depth.header().sequence + 1, Ordering::Release);
+                gate.finished
+                    .fetch_max(depth.header().sequence + 1, Ordering::Release);
             }
             gate.frames_seen.fetch_add(1, Ordering::Release);
             idle = false;
@@ -129,7 +134,9 @@ impl Observer {
         let header = bundle.header();
         self.observed.bundles += 1;
         let Ok(layout) = header.layout() else { return };
-        let Ok(planes) = layout.planes(bundle.payload()) else { return };
+        let Ok(planes) = layout.planes(bundle.payload()) else {
+            return;
+        };
         if self.options.digest {
             self.observed.digest.bundle(header, bundle.payload());
         }
@@ -151,14 +158,22 @@ impl Observer {
         observed.depth_hop.record(header.infer.sent_ns, seen_ns);
         if header.step == 0 {
             observed.sequences_begun += 1;
-            observed.bundle_hop.record(header.host.sent_ns, header.infer.bundle_received_ns);
-            observed.first_step.record(header.infer.started_ns, header.infer.done_ns);
-            observed.close_to_first.record(header.host.close_received_ns, header.infer.sent_ns);
+            observed
+                .bundle_hop
+                .record(header.host.sent_ns, header.infer.bundle_received_ns);
+            observed
+                .first_step
+                .record(header.infer.started_ns, header.infer.done_ns);
+            observed
+                .close_to_first
+                .record(header.host.close_received_ns, header.infer.sent_ns);
         }
         let last = header.step + 1 == header.steps;
         if last {
             observed.sequences_complete += 1;
-            observed.close_to_last.record(header.host.close_received_ns, header.infer.sent_ns);
+            observed
+                .close_to_last
+                .record(header.host.close_received_ns, header.infer.sent_ns);
         }
         if self.options.digest {
             observed.digest.depth(header, frame.payload());

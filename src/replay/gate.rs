@@ -23,11 +23,16 @@ impl<O: Outlet> GatedOutlet<O> {
 
     /// Waits at `gate`; gives up waiting when `stop` is set.
     pub fn gated(inner: O, gate: Arc<Gate>, stop: Arc<AtomicBool>) -> Self {
-        Self { inner, gate: Some((gate, stop)) }
+        Self {
+            inner,
+            gate: Some((gate, stop)),
+        }
     }
 
     fn wait(&self, sequence: u64) {
-        let Some((gate, stop)) = &self.gate else { return };
+        let Some((gate, stop)) = &self.gate else {
+            return;
+        };
         while !gate.is_clear() && !stop.load(Ordering::Relaxed) {
             std::thread::sleep(Duration::from_micros(200));
         }

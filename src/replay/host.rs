@@ -103,9 +103,19 @@ impl Prepared {
     pub fn new(recording: Recording, config: &Config) -> Result<Self, ReplayError> {
         let lidar = lidar_options(&recording, config)?;
         let correction = lidar.as_ref().map(|o| &o.correction);
-        let rig = Rig::new(config, recording.meta(), recording.calibration(), correction)?;
+        let rig = Rig::new(
+            config,
+            recording.meta(),
+            recording.calibration(),
+            correction,
+        )?;
         let origin = first_arrival(&recording)?;
-        Ok(Self { recording, rig, lidar, origin })
+        Ok(Self {
+            recording,
+            rig,
+            lidar,
+            origin,
+        })
     }
 
     /// The recording.
@@ -123,7 +133,11 @@ impl Prepared {
     /// What the recording lacks, in words.
     #[must_use]
     pub fn missing(&self) -> Vec<String> {
-        self.recording.missing().iter().map(Missing::to_string).collect()
+        self.recording
+            .missing()
+            .iter()
+            .map(Missing::to_string)
+            .collect()
     }
 }
 
@@ -149,41 +163,57 @@ fn open_any(path: &Path) -> Result<Recording, ReplayError> {
 /// resolution in either byte order, or pcapng.
 #[must_use]
 pub fn is_capture(start: &[u8]) -> bool {
-    const MAGICS: [[u8; 4]; 3] =
-        [[0xa1, 0xb2, 0xc3, 0xd4], [0xa1, 0xb2, 0x3c, 0x4d], [0x0a, 0x0d, 0x0d, 0x0a]];
-    MAGICS.iter().any(|magic| start == magic || start.iter().rev().eq(magic))
+    const MAGICS: [[u8; 4]; 3] = [
+        [0xa1, 0xb2, 0xc3, 0xd4],
+        [0xa1, 0xb2, 0x3c, 0x4d],
+        [0x0a, 0x0d, 0x0d, 0x0a],
+    ];
+    MAGICS
+        .iter()
+        .any(|magic| start == magic || start.iter().rev().eq(magic))
 }
 
 fn lidar_options(recording: &Recording, config: &Config) -> Result<Option<Options>, ReplayError> {
-    let Some(meta) = &recording.meta().lidar else { return Ok(None) };
+    let Some(meta) = &recording.meta().lidar else {
+        return Ok(None);
+    };
     let named = match config.lidar.model.as_str() {
         "auto" => Model::from_name(&meta.model),
         name => Model::from_name(name),
     };
-    let unknown = || ReplayError::UnknownLidar { path: recording.path().display().to_string() };
+    let unknown = || ReplayError::UnknownLidar {
+        path: recording.path().display().to_string(),
+    };
     let model = match named {
         Some(model) => model,
         None => detect(recording)?.ok_or_else(unknown)?,
     };
     let mut options = Options::new(model);
     let read = |path: &Path| {
-        std::fs::read_to_string(path)
-            .map_err(|e| ReplayError::Table { path: path.display().to_string(), cause: e.to_string() })
+        std::fs::read_to_string(path).map_err(|e| ReplayError::Table {
+            path: path.display().to_string(),
+            cause: e.to_string(),
+        })
     };
     let refused = |path: String| {
-        move |e: noctule_hesai::TableError| ReplayError::Table { path, cause: e.to_string() }
+        move |e: noctule_hesai::TableError| ReplayError::Table {
+            path,
+            cause: e.to_string(),
+        }
     };
     if let Some(path) = &config.lidar.angles {
-        options.correction =
-            Correction::from_csv(model, &read(path)?).map_err(refused(path.display().to_string()))?;
+        options.correction = Correction::from_csv(model, &read(path)?)
+            .map_err(refused(path.display().to_string()))?;
     } else if let Some(bytes) = recording.lidar_angles()? {
         let text = String::from_utf8_lossy(&bytes);
-        options.correction = Correction::from_csv(model, &text)
-            .map_err(refused(format!("{}: angle table", recording.path().display())))?;
+        options.correction = Correction::from_csv(model, &text).map_err(refused(format!(
+            "{}: angle table",
+            recording.path().display()
+        )))?;
     }
     if let Some(path) = &config.lidar.fire_times {
-        options.fire_times =
-            FireTimes::from_csv(model, &read(path)?).map_err(refused(path.display().to_string()))?;
+        options.fire_times = FireTimes::from_csv(model, &read(path)?)
+            .map_err(refused(path.display().to_string()))?;
     }
     Ok(Some(options))
 }
@@ -218,7 +248,11 @@ fn first_arrival(recording: &Recording) -> Result<Stamp<Realtime>, ReplayError> 
     {
         first = first.min(row?.stamp.arrival);
     }
-    Ok(if first == Stamp::MAX { Stamp::ZERO } else { first })
+    Ok(if first == Stamp::MAX {
+        Stamp::ZERO
+    } else {
+        first
+    })
 }
 
 /// Runs the host over the whole recording on this thread, one more per stream.
@@ -254,8 +288,10 @@ pub fn run_host<O: Outlet>(
     Ok(report(&assembler, ingested))
 }
 
-type Running<'scope> =
-    Vec<(&'static str, thread::ScopedJoinHandle<'scope, Result<Ingested, IngestError>>)>;
+type Running<'scope> = Vec<(
+    &'static str,
+    thread::ScopedJoinHandle<'scope, Result<Ingested, IngestError>>,
+)>;
 
 fn start_streams<'scope, 'env>(
     scope: &'scope thread::Scope<'scope, 'env>,
@@ -309,7 +345,8 @@ fn start_streams<'scope, 'env>(
 fn report<O: Outlet>(assembler: &Assembler<O>, ingested: Vec<Ingested>) -> HostReport {
     let bundles = assembler.bundle_report();
     let latency = &assembler.latency;
-    let stage = |name: &str, l| StageRow::new(name, bundles.exposures - bundles.discarded, bundles.sent, l);
+    let stage =
+        |name: &str, l| StageRow::new(name, bundles.exposures - bundles.discarded, bundles.sent, l);
     let timeline = assembler.timeline();
     let counts = timeline.counts();
     let evk4 = timeline.evk4_to_tai().map(|(map, _)| map);
@@ -318,7 +355,10 @@ fn report<O: Outlet>(assembler: &Assembler<O>, ingested: Vec<Ingested>) -> HostR
         details: ingested
             .iter()
             .map(|i| {
-                let named = i.details.iter().map(|(name, count)| ((*name).to_owned(), *count));
+                let named = i
+                    .details
+                    .iter()
+                    .map(|(name, count)| ((*name).to_owned(), *count));
                 (i.row.stream.to_owned(), named.collect())
             })
             .collect(),

@@ -56,7 +56,12 @@ impl RunReport {
         let sent = host.bundles.sent;
         let mut stages = host.stages.clone();
         let taken = infer.bundles_received.min(sent);
-        stages.push(StageRow::new("bundle sent -> taken", sent, taken, &observed.bundle_hop));
+        stages.push(StageRow::new(
+            "bundle sent -> taken",
+            sent,
+            taken,
+            &observed.bundle_hop,
+        ));
         stages.push(StageRow::new(
             "taken -> first depth",
             sent,
@@ -112,7 +117,10 @@ impl RunReport {
         }
         let _ = writeln!(text, "\n{}", table_of_streams(&host.streams));
         if self.pace.is_none() {
-            let _ = writeln!(text, "as fast as possible: latencies include the wait in full lanes");
+            let _ = writeln!(
+                text,
+                "as fast as possible: latencies include the wait in full lanes"
+            );
         }
         let _ = writeln!(text, "{}", table_of_stages(&self.stages));
         let b = &host.bundles;
@@ -136,12 +144,20 @@ impl RunReport {
             text,
             "rasters: {} exact, {} moved a little, {} again; {} events, {} forgotten; steps without \
              LiDAR pass: {}, without motion: {}",
-            r.exact, r.delta, r.full, r.events, r.events_forgotten, r.steps_without_pass,
+            r.exact,
+            r.delta,
+            r.full,
+            r.events,
+            r.events_forgotten,
+            r.steps_without_pass,
             r.steps_without_motion,
         );
         let i = &self.infer;
-        let models: Vec<String> =
-            i.models.iter().map(|m| format!("{} x {}", m.frames, m.model)).collect();
+        let models: Vec<String> = i
+            .models
+            .iter()
+            .map(|m| format!("{} x {}", m.frames, m.model))
+            .collect();
         let _ = writeln!(
             text,
             "inference: {} bundles taken, {} stale, {} lost; {} depth maps ({}), {} late; {} \
@@ -158,7 +174,10 @@ impl RunReport {
         );
         let bound = |ns: Option<u64>| {
             #[expect(clippy::cast_precision_loss, reason = "shown with one decimal")]
-            ns.map_or_else(|| "unknown".to_owned(), |ns| format!("{:.1} us", ns as f64 / 1e3))
+            ns.map_or_else(
+                || "unknown".to_owned(),
+                |ns| format!("{:.1} us", ns as f64 / 1e3),
+            )
         };
         let _ = writeln!(
             text,

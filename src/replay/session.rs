@@ -65,12 +65,24 @@ impl Session {
     ) -> Result<Self, ReplayError> {
         let instance = config.instance();
         let owner = Owner::<Ipc>::create(instance.clone(), config.limits())?;
-        let child =
-            Supervised::start("infer", options.program.clone(), infer_arguments(config, options))?;
+        let child = Supervised::start(
+            "infer",
+            options.program.clone(),
+            infer_arguments(config, options),
+        )?;
         let gate = Arc::new(Gate::default());
-        let mut infer = Inference { child, owner: &owner, gate: &gate, returning: false };
+        let mut infer = Inference {
+            child,
+            owner: &owner,
+            gate: &gate,
+            returning: false,
+        };
         let (watching, all_done) = (AtomicBool::new(false), AtomicBool::new(false));
-        let keep = Watch { keep: options.keep, digest: true, linger: Duration::from_millis(300) };
+        let keep = Watch {
+            keep: options.keep,
+            digest: true,
+            linger: Duration::from_millis(300),
+        };
 
         let (host, observed) = thread::scope(|scope| {
             let done = SetOnDrop(&all_done);
@@ -98,7 +110,9 @@ impl Session {
                 failed = wait_for_frames(&mut infer, config, options, stop).err();
             }
             drop(done);
-            let observed = observer.join().map_err(|_| ReplayError::Thread("observer"))?;
+            let observed = observer
+                .join()
+                .map_err(|_| ReplayError::Thread("observer"))?;
             if let Some(error) = failed {
                 return Err(error.into());
             }
@@ -112,7 +126,15 @@ impl Session {
         }
         owner.clean_dead();
         drop(owner);
-        let report = RunReport::new(prepared, options.host.pace, host, inferred, restarts, &observed, instance.residue().len());
+        let report = RunReport::new(
+            prepared,
+            options.host.pace,
+            host,
+            inferred,
+            restarts,
+            &observed,
+            instance.residue().len(),
+        );
         Ok(Self { report, observed })
     }
 }
@@ -154,7 +176,11 @@ impl Inference<'_> {
 }
 
 fn infer_arguments(config: &Config, options: &SessionOptions) -> Vec<String> {
-    let mut arguments = vec!["infer".to_owned(), "--instance".to_owned(), config.instance.clone()];
+    let mut arguments = vec![
+        "infer".to_owned(),
+        "--instance".to_owned(),
+        config.instance.clone(),
+    ];
     if let Some(path) = &options.config_path {
         arguments.extend(["--config".to_owned(), path.display().to_string()]);
     }
@@ -205,7 +231,11 @@ fn wait_for_frames(
     stop: &AtomicBool,
 ) -> Result<(), SuperviseError> {
     let gate = infer.gate;
-    let patience = if options.lossless { READY_WITHIN } else { config.budget.depth() };
+    let patience = if options.lossless {
+        READY_WITHIN
+    } else {
+        config.budget.depth()
+    };
     let (mut since, mut frames) = (Instant::now(), 0);
     while !gate.is_finished() && since.elapsed() < patience && !stop.load(Ordering::Relaxed) {
         thread::sleep(LOOK);
