@@ -71,7 +71,7 @@ fn stirred(config: &Config) -> Weights {
                 _ if name.contains(".bn") => 0.7 + 0.6 * r,
                 _ if name.contains("gamma") || name.contains("fuse.conv2") => 2.0 * v,
                 _ if name.starts_with("efr.") => 0.5 * v,
-                _ if name.contains("head2") || name.contains("conf.") => 5.0 * v,
+                _ if name.contains("head2") || name.contains("conf.") => 2.0 * v,
                 _ => *v,
             };
             let values: Vec<f32> = values.iter().zip(&stir).map(value).collect();
@@ -142,7 +142,7 @@ fn agrees(config: &Config, height: usize, width: usize, options: PlanOptions) {
     let spread = wanted.iter().flat_map(|(depth, _)| depth.iter().copied());
     let (least, most) = spread.fold((f32::MAX, 0f32), |(a, b), d| (a.min(d), b.max(d)));
     assert!(
-        most - least > 10.0,
+        most - least > 2.0,
         "the depths say nothing: {least} to {most} m"
     );
     let mut plan = Plan::new(config, &weights, height, width, options).unwrap();
@@ -191,8 +191,7 @@ fn full_equals_candle_over_eight_steps() {
     agrees(&Config::full(), 256, 256, PlanOptions::default());
 }
 
-/// Untrained weights on noise, where nothing averages out: twice the 0.5 % of mean depth that a
-/// trained network is held to on rendered nights.
+/// Mean error under 0.5 % of the mean depth, here of untrained weights on noise.
 #[test]
 fn brain_floats_stay_close() {
     for config in [Config::tiny(), Config::xs(), Config::s()] {
@@ -219,7 +218,7 @@ fn brain_floats_stay_close() {
             config.name,
             100.0 * share
         );
-        assert!(share < 1e-2, "{}: {share}", config.name);
+        assert!(share < 5e-3, "{}: {share}", config.name);
     }
 }
 
