@@ -1,4 +1,8 @@
 //! The bus between ports of one process, over real shared memory: what two processes see.
+#![allow(
+    clippy::unwrap_used,
+    reason = "a test that cannot set itself up has failed"
+)]
 
 use std::time::Duration;
 

@@ -17,7 +17,7 @@ pub const EVENT_COLUMNS: &str = "t_us,x,y,p";
 pub const NPY_RECORD_LEN: usize = 13;
 
 /// Bytes of an NPY header; a multiple of 64, as the format asks for.
-const NPY_HEADER_LEN: usize = 128;
+const NPY_HEADER_LEN: usize = 192;
 
 /// Writes each event as it is decoded.
 struct Rows {
@@ -158,7 +158,7 @@ fn npy_header(events: u64) -> [u8; NPY_HEADER_LEN] {
          'fortran_order': False, 'shape': ({events},), }}"
     );
     let mut header = [b' '; NPY_HEADER_LEN];
-    header[..10].copy_from_slice(b"\x93NUMPY\x01\x00\x76\x00");
+    header[..10].copy_from_slice(b"\x93NUMPY\x01\x00\xb6\x00");
     header[10..10 + dictionary.len()].copy_from_slice(dictionary.as_bytes());
     header[NPY_HEADER_LEN - 1] = b'\n';
     header

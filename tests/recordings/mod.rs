@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use noctule_world::{DriveOptions, Faults, Rig, Tier, record_drive};
+use noctule_recording::EdgeTruth;
+use noctule_world::{DriveOptions, Faults, Rig, Tier, TimedExposure, Timeline, record_drive};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -20,9 +21,20 @@ const SIZE: usize = 256;
 pub const GRID: u32 = 128;
 /// Long enough for five exposures.
 const LENGTH: Duration = Duration::from_millis(1200);
-/// A night on which a closing edge and packets are missing within that time.
-const ROUGH_SEED: u64 = 10;
 const CLEAN_SEED: u64 = 11;
+
+/// The first night on which a closing edge and packets are missing within that time.
+fn rough_seed() -> u64 {
+    let is_rough = |&seed: &u64| {
+        let rig = Rig::with_size(seed, Tier::B, SIZE);
+        let seconds = LENGTH.as_secs_f64();
+        let of = |faults| Timeline::simulate(&rig, &faults, seed, seconds);
+        let (rough, whole) = (of(Faults::rough()), of(Faults::default()));
+        let missed = |e: &TimedExposure| e.truth.close_edge == EdgeTruth::Missed;
+        rough.exposures.iter().any(missed) && rough.packets.len() < whole.packets.len()
+    };
+    (1..1000).find(is_rough).unwrap()
+}
 
 fn render(seed: u64, faults: Faults) -> TempDir {
     let dir = tempfile::tempdir().unwrap();
@@ -40,7 +52,7 @@ fn render(seed: u64, faults: Faults) -> TempDir {
 pub fn rough() -> &'static Path {
     static DRIVE: OnceLock<TempDir> = OnceLock::new();
     DRIVE
-        .get_or_init(|| render(ROUGH_SEED, Faults::rough()))
+        .get_or_init(|| render(rough_seed(), Faults::rough()))
         .path()
 }
 
