@@ -12,6 +12,7 @@ mod infer;
 mod inspect;
 mod progress;
 mod replay;
+#[cfg(feature = "model")]
 mod weights;
 mod world;
 
@@ -54,6 +55,7 @@ enum Command {
     /// Checks a configuration file
     Check(check::Arguments),
     /// Describes the networks, or compares one with reference outputs
+    #[cfg(feature = "model")]
     Weights(weights::Arguments),
 }
 
@@ -88,6 +90,7 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Command::Export(a) => export::run(&a),
         Command::Bench(a) => bench::run(&a),
         Command::Check(a) => check::run(&a),
+        #[cfg(feature = "model")]
         Command::Weights(a) => weights::run(&a),
     };
     match outcome {

@@ -90,10 +90,11 @@ impl Engines {
     /// The models that can run, cheapest first.
     #[must_use]
     pub fn models(&self) -> Vec<ModelId> {
-        let mut models = vec![ModelId::Nearest, ModelId::Fill];
+        let classical = [ModelId::Nearest, ModelId::Fill].into_iter();
         #[cfg(feature = "model")]
-        models.extend(self.networks.models());
-        models
+        return classical.chain(self.networks.models()).collect();
+        #[cfg(not(feature = "model"))]
+        classical.collect()
     }
 
     /// Starts a sequence of `model` over the bundle whose rasters are `planes`.

@@ -79,6 +79,10 @@ impl<S: Service> Process<'_, S> {
     }
 
     /// Runs one bundle's sequence, each frame sent as soon as it is there.
+    #[allow(
+        clippy::drop_non_drop,
+        reason = "without networks a run holds nothing to drop"
+    )]
     fn sequence(
         &mut self,
         engines: &mut Engines,
