@@ -48,7 +48,8 @@ fn npy_rows(path: &Path) -> Vec<[u64; 4]> {
     let descr = "[('t', '<u8'), ('x', '<u2'), ('y', '<u2'), ('p', '|u1')]";
     // Its own rendering leaves a comma before the bracket.
     assert_eq!(header.dtype().descr().replace(", ]", "]"), descr);
-    let records = bytes[128..].chunks_exact(NPY_RECORD_LEN);
+    let start = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let records = bytes[start..].chunks_exact(NPY_RECORD_LEN);
     assert!(records.remainder().is_empty());
     let number = |b: &[u8]| b.iter().rev().fold(0, |n, &b| n << 8 | u64::from(b));
     let row = |r: &[u8]| [&r[..8], &r[8..10], &r[10..12], &r[12..]].map(number);
