@@ -68,6 +68,7 @@ pub fn bench_host(
             path: dir.display().to_string(),
             cause,
         };
+        std::fs::create_dir_all(scratch).map_err(folder)?;
         say(&format!("making {seconds} s of {rate_mev_s} Mev/s"));
         write_load(
             EventLoad {
