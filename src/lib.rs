@@ -1,4 +1,16 @@
-//! Noctule.
+//! Noctule: depth in the dark, from events, one blurred image and sparse LiDAR.
+//!
+//! The map of the house; `ARCHITECTURE.md` draws it with its floors.
+//!
+//! - What crosses between processes: [`frame`], carried by [`bus`].
+//! - The host: [`ingest`] decodes what sensors deliver into [`lane`]s, [`host`] merges them by
+//!   arrival and rasters what [`sync`] decides belongs together.
+//! - The inference process: [`infer`].
+//! - Around them: [`config`], [`latency`], [`digest`], [`supervise`].
+//! - Whole runs: [`replay`] puts a recording in the sensors' place, [`observe`] watches it,
+//!   [`bench`] loads it.
+//! - Files: [`inspect`] says what is in them, [`export`] hands it to other programs.
+
 pub mod bench;
 pub mod bus;
 pub mod config;
