@@ -8,7 +8,7 @@
 //! - The inference process: [`infer`].
 //! - Around them: [`config`], [`latency`], [`digest`], [`supervise`].
 //! - Whole runs: [`replay`] puts a recording in the sensors' place, [`observe`] watches it,
-//!   [`bench`] loads it.
+//!   [`mod@bench`] loads it.
 //! - Files: [`inspect`] says what is in them, [`export`] hands it to other programs.
 
 pub mod bench;
