@@ -71,6 +71,14 @@ fn overwritten_frames_are_counted_as_a_gap() {
     let newest = receiver.receive_newest().unwrap().unwrap();
     assert_eq!((newest.frame.header().frame, newest.passed_over), (5, 1));
     assert_eq!((receiver.received(), receiver.lost()), (3, 3));
+    drop(newest);
+    (6..=8).for_each(send);
+    receiver.receive_newest().unwrap();
+    assert_eq!(
+        (receiver.received(), receiver.lost()),
+        (5, 4),
+        "a gap of one counts too"
+    );
 }
 
 #[test]
