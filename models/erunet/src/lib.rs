@@ -21,6 +21,7 @@
 #![forbid(unsafe_code)]
 
 mod accounting;
+mod adam;
 mod blocks;
 mod config;
 mod conv;
@@ -35,9 +36,11 @@ mod pass;
 mod plan;
 mod rdu;
 mod sequence;
+mod slices;
 mod weights;
 
 pub use accounting::{Description, ModuleCost, describe};
+pub use adam::{Adam, AdamError, AdamOptions, AdamState};
 pub use config::{COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, SIDE_MULTIPLE, Variant, WIDTH_MAX};
 pub use network::{Network, NetworkError, Outputs, slots};
 pub use params::{Init, Norms, Role, Slot};
