@@ -38,6 +38,7 @@ mod rdu;
 mod sequence;
 mod slices;
 mod weights;
+mod window;
 
 pub use accounting::{Description, ModuleCost, describe};
 pub use adam::{Adam, AdamError, AdamOptions, AdamState};
