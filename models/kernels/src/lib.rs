@@ -59,6 +59,6 @@ pub use layout::Size;
 pub use peak::spin;
 pub use planar::Intake;
 pub use program::{
-    BuildError, Builder, Conv, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
+    BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
     Precision, Program, RunError, THREADS_MAX,
 };
