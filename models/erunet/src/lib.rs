@@ -46,6 +46,6 @@ pub use parity::{
     parity_on,
 };
 pub use pass::{Moments, Pass};
-pub use plan::{Plan, PlanError, PlanOptions};
+pub use plan::{LayerProfile, Plan, PlanError, PlanOptions};
 pub use sequence::{Sequence, Step};
 pub use weights::{FILE_BYTES_MAX, Fault, Weights, WeightsError};

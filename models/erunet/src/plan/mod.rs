@@ -6,6 +6,7 @@
 
 mod draft;
 mod efr;
+mod profile;
 mod rdu;
 
 use noctule_kernels::{BuildError, Builder, Isa, Options, Passes, Precision, Program, RunError};
@@ -14,6 +15,8 @@ use thiserror::Error;
 use crate::config::{Config, ConfigError, SIDE_MULTIPLE};
 use crate::weights::{Weights, WeightsError};
 use draft::Draft;
+
+pub use profile::LayerProfile;
 
 /// Runs once, when the plan is built: what depends on the picture's size alone.
 const SETUP: usize = 0;
@@ -98,6 +101,8 @@ impl Default for PlanOptions {
 /// ERU-Net compiled for one size of picture.
 pub struct Plan {
     program: Program,
+    bins: usize,
+    area: usize,
     steps: usize,
     /// Steps done since the last `begin`; `None` before the first.
     done: Option<usize>,
@@ -137,6 +142,8 @@ impl Plan {
                 precision,
                 isa,
             })?,
+            bins: config.bins,
+            area: height * width,
             steps: config.steps,
             done: None,
             place,
