@@ -40,7 +40,9 @@ pub enum InferError {
     },
     /// A device that is not there.
     #[cfg(feature = "model")]
-    #[error("infer.device = \"cuda:{index}\": {cause}; is this a build with feature `cuda`, and is there such a GPU?")]
+    #[error(
+        "infer.device = \"cuda:{index}\": {cause}; is this a build with feature `cuda`, and is there such a GPU?"
+    )]
     Device {
         /// Which GPU.
         index: usize,

@@ -49,7 +49,7 @@ pub use parity::{
     parity_on,
 };
 pub use pass::{Moments, Pass};
-pub use plan::{Plan, PlanError, PlanOptions};
+pub use plan::{LayerProfile, Plan, PlanError, PlanOptions};
 pub use prefill::{FALLBACK_SHARE, LOG_SPAN};
 pub use sequence::{Sequence, Step};
 pub use weights::{FILE_BYTES_MAX, Fault, Weights, WeightsError};

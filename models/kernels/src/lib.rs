@@ -56,9 +56,9 @@ pub use activation::Activation;
 pub use conv::Store;
 pub use isa::Isa;
 pub use layout::Size;
-pub use peak::spin;
+pub use peak::{spin, stream};
 pub use planar::Intake;
 pub use program::{
-    BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
-    Precision, Program, RunError, THREADS_MAX,
+    BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, OpProfile, Options, Output,
+    Passes, Plane, Precision, Program, RunError, THREADS_MAX,
 };

@@ -6,6 +6,7 @@
 
 mod draft;
 mod efr;
+mod profile;
 mod rdu;
 
 use noctule_kernels::{BuildError, Builder, Isa, Options, Passes, Precision, Program, RunError};
@@ -15,6 +16,8 @@ use crate::config::{Config, ConfigError, Form, SIDE_MULTIPLE};
 use crate::prefill::Prefill;
 use crate::weights::{Weights, WeightsError};
 use draft::Draft;
+
+pub use profile::LayerProfile;
 
 /// Runs once, when the plan is built: what depends on the picture's size alone.
 const SETUP: usize = 0;
@@ -100,6 +103,8 @@ impl Default for PlanOptions {
 /// ERU-Net compiled for one size of picture.
 pub struct Plan {
     program: Program,
+    bins: usize,
+    area: usize,
     steps: usize,
     /// Steps done since the last `begin`; `None` before the first.
     done: Option<usize>,
@@ -162,6 +167,8 @@ impl Plan {
                 precision,
                 isa,
             })?,
+            bins: config.bins,
+            area: height * width,
             steps: config.steps,
             done: None,
             place,

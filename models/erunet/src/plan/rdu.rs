@@ -37,6 +37,7 @@ impl Draft<'_> {
                 (Intake::Planes, Emit::Factor { base, span })
             }
         };
+        self.builder.set_label("sparse");
         self.builder.take(from, intake, seen.feature);
         let stem = Then::new(Activation::Relu);
         let stem = self.named("rdu.depth.stem", &[seen], stem)?;
@@ -50,6 +51,7 @@ impl Draft<'_> {
         }
         let x = self.named("rdu.head1", &[x], Then::new(Activation::Relu))?;
         let head = self.layer("rdu.head2")?;
+        self.builder.set_label("rdu.head2");
         self.builder.gate(&Gate {
             inputs: &[x.feature],
             weight: &head.weight,
@@ -112,6 +114,7 @@ impl Draft<'_> {
                 .collect()
         };
         let asked: Vec<_> = with_guidance(depth).iter().map(|map| map.feature).collect();
+        self.builder.set_label(&at("conf"));
         self.builder.gate(&Gate {
             inputs: &asked,
             weight: &conf.weight,
@@ -127,6 +130,7 @@ impl Draft<'_> {
         let atoms = self.values(&at("garf.atoms"))?;
         let (_, side) = bank_size(level);
         let output = self.builder.feature(width, size);
+        self.builder.set_label(&at("garf"));
         self.builder.garf(&Garf {
             x: kept.feature,
             hidden: hidden.feature,
