@@ -4,6 +4,8 @@
 //! standard error); 2 the arguments are wrong; 130 it was interrupted and ended cleanly.
 
 mod bench;
+#[cfg(feature = "model")]
+mod bench_infer;
 mod check;
 mod demo;
 mod export;

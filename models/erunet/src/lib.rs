@@ -34,6 +34,7 @@ mod params;
 mod parity;
 mod pass;
 mod plan;
+mod prefill;
 mod rdu;
 mod sequence;
 mod slices;
@@ -42,7 +43,9 @@ mod window;
 
 pub use accounting::{Description, ModuleCost, describe};
 pub use adam::{Adam, AdamError, AdamOptions, AdamState};
-pub use config::{COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, SIDE_MULTIPLE, Variant, WIDTH_MAX};
+pub use config::{
+    COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, Form, SIDE_MULTIPLE, Variant, WIDTH_MAX,
+};
 pub use network::{Network, NetworkError, Outputs, slots};
 pub use params::{Init, Norms, Role, Slot};
 pub use parity::{
@@ -50,6 +53,7 @@ pub use parity::{
     parity_on,
 };
 pub use pass::{Moments, Pass};
-pub use plan::{Plan, PlanError, PlanOptions};
+pub use plan::{LayerProfile, Plan, PlanError, PlanOptions};
+pub use prefill::{FALLBACK_SHARE, LOG_SPAN};
 pub use sequence::{Sequence, Step};
 pub use weights::{FILE_BYTES_MAX, Fault, Weights, WeightsError};

@@ -58,9 +58,9 @@ pub use conv::Store;
 pub use grad::{AdamRates, adam_update};
 pub use isa::Isa;
 pub use layout::Size;
-pub use peak::spin;
+pub use peak::{spin, stream};
 pub use planar::Intake;
 pub use program::{
-    BuildError, Builder, Conv, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
-    Precision, Program, RunError, THREADS_MAX,
+    BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, OpProfile, Options, Output,
+    Passes, Plane, Precision, Program, RunError, THREADS_MAX,
 };

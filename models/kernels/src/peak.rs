@@ -1,4 +1,5 @@
-//! The processor's own limit: multiply-adds on registers alone, to set measured times beside.
+//! The machine's own limits, to set measured times beside: multiply-adds on registers alone, and
+//! memory read and written by nothing but loads and stores.
 
 use std::hint::black_box;
 
@@ -100,9 +101,75 @@ unsafe fn spin_on<S: Simd>(kernel: Spin) -> usize {
     sum_count::<S>()
 }
 
+/// Doubles the second half of `memory` into the first and back, `rounds` times over, and returns
+/// the bytes read and written; the caller holds the clock. How large `memory` is decides which
+/// cache is measured. `None` where the processor lacks `isa`.
+pub fn stream(isa: Isa, memory: &mut [f32], rounds: u64) -> Option<u64> {
+    if !isa.is_available() {
+        return None;
+    }
+    let half = memory.len() / 2 / LANES * LANES;
+    let (a, b) = memory.split_at_mut(half);
+    let b = &mut b[..half];
+    for round in 0..rounds {
+        let (from, to) = if round % 2 == 0 {
+            (&*b, &mut *a)
+        } else {
+            (&*a, &mut *b)
+        };
+        let kernel = Stream { from, to };
+        // SAFETY: the processor has the instructions.
+        unsafe {
+            match isa {
+                #[cfg(target_arch = "x86_64")]
+                Isa::Avx512 | Isa::Avx512Bf16 => Avx512::<false>::vectorize(kernel),
+                #[cfg(target_arch = "x86_64")]
+                Isa::Avx2 => Avx2::vectorize(kernel),
+                _ => Portable::vectorize(kernel),
+            }
+        }
+    }
+    black_box(&*a);
+    Some(2 * rounds * size_of_val(&*a) as u64)
+}
+
+/// One pass of [`stream`]; both slices are as long, a multiple of the lanes.
+struct Stream<'a> {
+    from: &'a [f32],
+    to: &'a mut [f32],
+}
+
+impl Kernel for Stream<'_> {
+    #[inline(always)]
+    unsafe fn run<S: Simd>(self) {
+        for (from, to) in self
+            .from
+            .chunks_exact(LANES)
+            .zip(self.to.chunks_exact_mut(LANES))
+        {
+            // SAFETY: both chunks hold as many values as there are lanes.
+            unsafe {
+                let x = S::load(from.as_ptr());
+                S::store(to.as_mut_ptr(), S::add(x, x));
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stream_touches_every_value_and_counts_its_bytes() {
+        for isa in Isa::ALL.into_iter().filter(|isa| isa.is_available()) {
+            let mut memory = vec![1.0; 2 * 48 + 5];
+            assert_eq!(stream(isa, &mut memory, 3), Some(3 * 2 * 4 * 48));
+            assert!(memory[..48].iter().all(|v| *v == 8.0), "{isa}");
+            assert!(memory[48..96].iter().all(|v| *v == 4.0), "{isa}");
+            assert_eq!(memory[96..], [1.0; 5]);
+        }
+    }
 
     #[test]
     fn operations_are_counted() {

@@ -62,22 +62,27 @@ fn chain(options: Options) -> Program {
     let state = builder.state(20, SIZE);
     builder.set_passes(Passes::of(&[0, 1]));
     let mut x = builder.feature(20, SIZE);
+    builder.set_label("take");
     builder.take(input, Intake::Planes, x);
-    for _ in 0..3 {
+    for place in 0..3 {
         let next = builder.feature(20, SIZE);
+        builder.set_label(&format!("chain {place}"));
         builder.conv(&conv(&[x], &weight, next));
         x = next;
     }
     builder.set_passes(Passes::of(&[1]));
     let joined = builder.feature(20, SIZE);
+    builder.set_label("add");
     builder.conv(&Conv {
         residual: Some(x),
         ..conv(&[state], &weight, joined)
     });
+    builder.set_label("keep");
     builder.conv(&conv(&[joined], &weight, state));
     builder.set_passes(Passes::of(&[0]));
     builder.conv(&conv(&[x], &weight, state));
     builder.set_passes(Passes::of(&[0, 1]));
+    builder.set_label("give");
     builder.give(state, output);
     builder.finish(options).unwrap()
 }
@@ -126,6 +131,47 @@ fn threads_poison_and_repetition_change_no_bit_and_nothing_allocates() {
     assert_eq!(ALLOCATIONS.load(Ordering::Relaxed), before);
     refusals();
     memory_is_shared();
+    profiles_name_count_and_time_every_operation();
+}
+
+/// A profile runs what a run runs, and counts work without padding.
+fn profiles_name_count_and_time_every_operation() {
+    for threads in [1, 2] {
+        let options = Options {
+            threads,
+            precision: Precision::Brain,
+            ..Options::default()
+        };
+        let (mut program, mut other) = (chain(options), chain(options));
+        let x = noise(20 * SIZE.area(), 4);
+        let (mut out, mut wanted) = (vec![f32::NAN; x.len()], vec![f32::NAN; x.len()]);
+        program.run(0, 0, &[&x], &mut [&mut out]).unwrap();
+        let ops = program.profile(1, 0, &[&x], &mut [&mut out], 2).unwrap();
+        for pass in [0, 1, 1] {
+            other.run(pass, 0, &[&x], &mut [&mut wanted]).unwrap();
+        }
+        assert!(out == wanted);
+
+        let names: Vec<_> = ops.iter().map(|op| op.name.as_str()).collect();
+        let wanted = [
+            "take", "chain 0", "chain 1", "chain 2", "add", "keep", "give",
+        ];
+        assert_eq!(names, wanted);
+        assert!(ops.iter().all(|op| op.pass == 1 && op.seconds < 1.0));
+        let number = 20 * SIZE.area() as u64;
+        let add = &ops[4];
+        assert_eq!(add.kind, "conv 3x3 20-20");
+        assert_eq!(add.size, [SIZE.height, SIZE.width]);
+        assert_eq!(add.macs, 20 * 9 * number);
+        assert_eq!(add.feature_bytes, 3 * 2 * number);
+        assert_eq!(add.weight_bytes, 2 * 20 * 20 * 9);
+        assert_eq!((ops[0].macs, ops[0].feature_bytes), (0, (2 + 4) * number));
+        assert!(add.seconds > 0.0 && ops[6].seconds > 0.0);
+        // One multiply-add takes as long as the bytes of its operation, or longer.
+        let bytes = (add.feature_bytes + add.weight_bytes) as f64;
+        assert_eq!(add.bound(2.0, bytes), add.macs as f64);
+        assert_eq!(add.bound(1e30, bytes), 1.0);
+    }
 }
 
 fn memory_is_shared() {

@@ -162,8 +162,8 @@ impl<'a> Draft<'a> {
         })
     }
 
-    /// Adds a convolution over the concatenation of `inputs`.
-    pub(super) fn conv(&mut self, layer: &Layer, inputs: &[Map], then: Then) -> Map {
+    /// Adds a convolution over the concatenation of `inputs`; profiles call it `path`.
+    pub(super) fn conv(&mut self, path: &str, layer: &Layer, inputs: &[Map], then: Then) -> Map {
         let scale = match then.store {
             Store::Direct => 1,
             Store::Shuffle | Store::Nearest => 2,
@@ -184,6 +184,7 @@ impl<'a> Draft<'a> {
             size,
         });
         let features: Vec<Feature> = inputs.iter().map(|map| map.feature).collect();
+        self.builder.set_label(path);
         self.builder.conv(&Conv {
             inputs: &features,
             weight: &layer.weight,
@@ -202,7 +203,7 @@ impl<'a> Draft<'a> {
     /// A convolution by name.
     pub(super) fn named(&mut self, path: &str, inputs: &[Map], then: Then) -> Result<Map> {
         let layer = self.layer(path)?;
-        Ok(self.conv(&layer, inputs, then))
+        Ok(self.conv(path, &layer, inputs, then))
     }
 
     /// Convolution, norm, rectifier: `path.conv` and `path.bn`.
@@ -212,7 +213,7 @@ impl<'a> Draft<'a> {
             stride,
             ..Then::new(Activation::Relu)
         };
-        Ok(self.conv(&layer, inputs, then))
+        Ok(self.conv(path, &layer, inputs, then))
     }
 
     /// `count` residual blocks of the restoration network.
@@ -231,9 +232,10 @@ impl<'a> Draft<'a> {
         for index in 0..count {
             let path = format!("{path}.{index}");
             let first = self.normed(&path, "conv1", "bn1")?;
-            let h = self.conv(&first, &[x], Then::new(Activation::Relu));
+            let then = Then::new(Activation::Relu);
+            let h = self.conv(&format!("{path}.conv1"), &first, &[x], then);
             let second = self.normed(&path, "conv2", "bn2")?;
-            x = self.conv(&second, &[h], Then::new(Activation::Relu).plus(x));
+            x = self.conv(&format!("{path}.conv2"), &second, &[h], then.plus(x));
         }
         Ok(x)
     }
@@ -255,6 +257,7 @@ impl<'a> Draft<'a> {
             size: self.size,
         };
         let from = self.slices.voxel;
+        self.builder.set_label("voxel");
         self.builder.take(from, Intake::Planes, map.feature);
         self.voxel = Some(map);
         map

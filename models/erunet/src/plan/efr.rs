@@ -21,6 +21,7 @@ impl Draft<'_> {
             size,
         };
         let from = self.slices.blur;
+        self.builder.set_label("blur");
         self.builder.take(from, Intake::Planes, blur.feature);
         let state = self.builder.state(c0, size);
         let clear = Map {
@@ -74,9 +75,10 @@ impl Draft<'_> {
         };
         let from = self.builder.input(share.len());
         self.builder.set_passes(Passes::of(&[SETUP]));
+        self.builder.set_label("coordinates");
         self.builder.take(from, Intake::Planes, place.feature);
         self.builder.set_passes(any_step());
-        let x = self.conv(&layer, &[x], LEAKY.plus(place));
+        let x = self.conv(&at("mlp1"), &layer, &[x], LEAKY.plus(place));
         let x = self.named(&at("mlp2"), &[x], LEAKY)?;
         Ok((self.named(&at("mlp3"), &[x], PLAIN)?, share))
     }

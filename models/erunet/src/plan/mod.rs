@@ -6,14 +6,18 @@
 
 mod draft;
 mod efr;
+mod profile;
 mod rdu;
 
 use noctule_kernels::{BuildError, Builder, Isa, Options, Passes, Precision, Program, RunError};
 use thiserror::Error;
 
-use crate::config::{Config, ConfigError, SIDE_MULTIPLE};
+use crate::config::{Config, ConfigError, Form, SIDE_MULTIPLE};
+use crate::prefill::Prefill;
 use crate::weights::{Weights, WeightsError};
 use draft::Draft;
+
+pub use profile::LayerProfile;
 
 /// Runs once, when the plan is built: what depends on the picture's size alone.
 const SETUP: usize = 0;
@@ -28,6 +32,7 @@ const LATER: usize = 3;
 const BLUR: usize = 0;
 const VOXEL: usize = 1;
 const SPARSE: usize = 2;
+const NEAREST: usize = 3;
 
 /// Why a plan could not be made or run.
 #[derive(Debug, Error)]
@@ -49,7 +54,7 @@ pub enum PlanError {
     /// The kernels cannot be built: too many threads, or instructions the processor lacks.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// A slice has the wrong length. Inputs count as blur, voxel, sparse; outputs as depth,
+    /// A slice has the wrong length. Inputs count as blur, voxel, sparse, nearest; outputs as depth,
     /// confidence.
     #[error(transparent)]
     Run(#[from] RunError),
@@ -98,12 +103,37 @@ impl Default for PlanOptions {
 /// ERU-Net compiled for one size of picture.
 pub struct Plan {
     program: Program,
+    bins: usize,
+    area: usize,
     steps: usize,
     /// Steps done since the last `begin`; `None` before the first.
     done: Option<usize>,
     /// What SETUP takes: the share of the coordinates in the motion feature, empty where the
     /// network restores nothing.
     place: Vec<f32>,
+    /// Present where depth leaves as a factor on the nearest return.
+    filled: Option<Filled>,
+}
+
+/// What the residual form adds to a step's inputs.
+struct Filled {
+    prefill: Prefill,
+    nearest: Vec<f32>,
+    seen: Vec<f32>,
+}
+
+impl Filled {
+    #[allow(
+        clippy::cast_possible_truncation,
+        reason = "metres in single precision"
+    )]
+    fn new(config: &Config, height: usize, width: usize) -> candle_core::Result<Self> {
+        Ok(Self {
+            prefill: Prefill::new(height, width, config.d_max as f32)?,
+            nearest: vec![0.0; height * width],
+            seen: vec![0.0; 3 * height * width],
+        })
+    }
 }
 
 impl Plan {
@@ -137,9 +167,14 @@ impl Plan {
                 precision,
                 isa,
             })?,
+            bins: config.bins,
+            area: height * width,
             steps: config.steps,
             done: None,
             place,
+            filled: (config.form == Form::Residual)
+                .then(|| Filled::new(config, height, width))
+                .transpose()?,
         };
         plan.set_up()?;
         Ok(plan)
@@ -148,13 +183,13 @@ impl Plan {
     fn set_up(&mut self) -> Result<(), PlanError> {
         Ok(self
             .program
-            .run(SETUP, 0, &[&[], &[], &[], &self.place], &mut [])?)
+            .run(SETUP, 0, &[&[], &[], &[], &[], &self.place], &mut [])?)
     }
 
     /// Starts an exposure: `blur` `[3, H, W]`, encoded values over 255; for a network without
     /// restoration, the deblurred picture. Drops the exposure before it, finished or not.
     pub fn begin(&mut self, blur: &[f32]) -> Result<(), PlanError> {
-        let mut slices: [&[f32]; 3] = [&[]; 3];
+        let mut slices: [&[f32]; 4] = [&[]; 4];
         slices[BLUR] = blur;
         self.program.run(BEGIN, 0, &slices, &mut [])?;
         self.done = Some(0);
@@ -178,9 +213,18 @@ impl Plan {
         }
         let pass = if done == 0 { FIRST } else { LATER };
         let variant = if self.place.is_empty() { 0 } else { done };
-        let mut slices: [&[f32]; 3] = [&[]; 3];
+        let mut slices: [&[f32]; 4] = [&[]; 4];
         slices[VOXEL] = voxel;
         slices[SPARSE] = sparse;
+        if let Some(filled) = &mut self.filled {
+            let Filled {
+                prefill,
+                nearest,
+                seen,
+            } = filled;
+            prefill.fill(sparse, nearest, seen)?;
+            (slices[SPARSE], slices[NEAREST]) = (&*seen, &*nearest);
+        }
         self.program
             .run(pass, variant, &slices, &mut [depth, confidence])?;
         self.done = Some(done + 1);
@@ -217,7 +261,11 @@ fn builder_with_slices(config: &Config, area: usize) -> (Builder, Slices) {
     let slices = Slices {
         blur: builder.input(3 * area),
         voxel: builder.input(config.bins * area),
-        sparse: builder.input(area),
+        sparse: builder.input(match config.form {
+            Form::Direct => area,
+            Form::Residual => 3 * area,
+        }),
+        nearest: builder.input(area),
         depth: builder.output(area),
         confidence: builder.output(area),
     };
@@ -229,7 +277,9 @@ fn builder_with_slices(config: &Config, area: usize) -> (Builder, Slices) {
 struct Slices {
     blur: noctule_kernels::Input,
     voxel: noctule_kernels::Input,
+    /// As the depth encoder sees it: metres, or the three planes of the residual form.
     sparse: noctule_kernels::Input,
+    nearest: noctule_kernels::Input,
     depth: noctule_kernels::Output,
     confidence: noctule_kernels::Output,
 }

@@ -1,8 +1,8 @@
 //! Collects the operations of a program and checks that each fits what it works on.
 
 use super::spec::{
-    Buffer, BuildError, Conv, Feature, Garf, Gate, Input, Options, Output, Passes, Plane, Spec,
-    THREADS_MAX,
+    Buffer, BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
+    Spec, THREADS_MAX,
 };
 use super::{Needs, Program, lower};
 use crate::conv::Store;
@@ -22,6 +22,13 @@ pub(crate) struct FeatureSpec {
     pub(crate) is_state: bool,
 }
 
+/// One operation as described: when it runs, what it does, what profiles call it.
+pub(crate) struct Described {
+    pub(crate) passes: Passes,
+    pub(crate) spec: Spec,
+    pub(crate) label: String,
+}
+
 /// A program being described. Mistakes are collected and reported by [`Builder::finish`].
 ///
 /// Operations run in the order they are added; each takes part in the passes set last.
@@ -30,8 +37,9 @@ pub struct Builder {
     pub(crate) planes: Vec<Size>,
     inputs: Vec<usize>,
     outputs: Vec<usize>,
-    pub(crate) operations: Vec<(Passes, Spec)>,
+    pub(crate) operations: Vec<Described>,
     passes: Passes,
+    label: String,
     fault: Option<BuildError>,
 }
 
@@ -51,6 +59,7 @@ impl Builder {
             outputs: Vec::new(),
             operations: Vec::new(),
             passes: Passes::of(&[0]),
+            label: String::new(),
             fault: None,
         }
     }
@@ -58,6 +67,11 @@ impl Builder {
     /// The passes that operations added from here on take part in.
     pub fn set_passes(&mut self, passes: Passes) {
         self.passes = passes;
+    }
+
+    /// What profiles call the operations added from here on.
+    pub fn set_label(&mut self, label: &str) {
+        label.clone_into(&mut self.label);
     }
 
     /// A slice of `len` values that the caller will hand in; the first is input 0.
@@ -174,9 +188,14 @@ impl Builder {
         if let Some(plane) = gate.plane {
             self.require_same("plane", self.planes[plane.0], size);
         }
-        if let Some((output, _)) = gate.output {
+        if let Some((output, emit)) = gate.output {
             let len = self.outputs[output.0];
             self.require_count("length of the output", len, size.area());
+            if let Emit::Factor { base, .. } = emit {
+                self.require_count("length of the base", self.inputs[base.0], size.area());
+                let beside = usize::from(gate.plane.is_some()) + usize::from(gate.kept.is_some());
+                self.require_count("planes and features beside a factor", beside, 0);
+            }
         }
         if let Some((from, to)) = gate.kept {
             let (from, to) = (self.features[from.0], self.features[to.0]);
@@ -250,9 +269,9 @@ impl Builder {
     /// The slices each pass touches.
     pub(crate) fn needs(&self) -> Vec<Needs> {
         let count = |passes: &Passes| 8 - passes.0.leading_zeros() as usize;
-        let pass_count = self.operations.iter().map(|(p, _)| count(p)).max();
+        let pass_count = self.operations.iter().map(|op| count(&op.passes)).max();
         let mut needs = vec![Needs::default(); pass_count.unwrap_or(0)];
-        for (passes, spec) in &self.operations {
+        for Described { passes, spec, .. } in &self.operations {
             for (_, needs) in needs.iter_mut().enumerate().filter(|(p, _)| passes.has(*p)) {
                 match spec {
                     Spec::Take { from, .. } => {
@@ -260,9 +279,14 @@ impl Builder {
                     }
                     Spec::Give { to, .. } => needs.outputs.push((to.0, self.outputs[to.0])),
                     Spec::Gate {
-                        output: Some((to, _)),
+                        output: Some((to, emit)),
                         ..
-                    } => needs.outputs.push((to.0, self.outputs[to.0])),
+                    } => {
+                        needs.outputs.push((to.0, self.outputs[to.0]));
+                        if let Emit::Factor { base, .. } = emit {
+                            needs.inputs.push((base.0, self.inputs[base.0]));
+                        }
+                    }
                     Spec::Conv { .. } | Spec::Gate { .. } | Spec::Garf { .. } => {}
                 }
             }
@@ -277,7 +301,11 @@ impl Builder {
             let operation = self.operations.len();
             self.blame(BuildError::Aliased { operation });
         }
-        self.operations.push((self.passes, spec));
+        self.operations.push(Described {
+            passes: self.passes,
+            spec,
+            label: self.label.clone(),
+        });
     }
 
     /// Every buffer but state must have been written earlier in every pass that reads it.
@@ -285,7 +313,8 @@ impl Builder {
         let mut features = vec![0u8; self.features.len()];
         let mut planes = vec![0u8; self.planes.len()];
         let mut fault = None;
-        for (operation, (passes, spec)) in self.operations.iter().enumerate() {
+        for (operation, described) in self.operations.iter().enumerate() {
+            let Described { passes, spec, .. } = described;
             for (buffer, _) in spec.reads() {
                 let (what, index, written) = match buffer {
                     Buffer::Feature(i) if self.features[i].is_state => continue,

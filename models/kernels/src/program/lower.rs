@@ -4,9 +4,10 @@ use std::ops::Range;
 
 use super::Program;
 use super::arena::{Demand, place};
-use super::builder::Builder;
+use super::builder::{Builder, Described};
 use super::crew::{Barrier, Crew};
-use super::spec::{Buffer, BuildError, Feature, Options, Passes, Precision, Spec};
+use super::profile::{self, Watch};
+use super::spec::{Buffer, BuildError, Feature, Options, Precision, Spec};
 use crate::activation::Activation;
 use crate::conv::{ConvOp, Dense, Finish, Gain, Store};
 use crate::element::{Brain, Element, Single};
@@ -29,6 +30,16 @@ pub(crate) trait Executable: Send + Sync {
     /// in, this thread's scratch, and slices as long as described; all threads of the barrier
     /// call this with the same pass.
     unsafe fn run(&self, pass: usize, frame: &Frame, thread: usize, barrier: &Barrier);
+
+    /// As [`Executable::run`], with a barrier around every operation and the time between them
+    /// taken down.
+    ///
+    /// # Safety
+    /// As for `run`.
+    unsafe fn run_watched(&self, pass: usize, frame: &Frame, thread: usize, watch: &Watch<'_>);
+
+    /// The operations of `pass`, in order.
+    fn operations(&self, pass: usize) -> Vec<usize>;
 
     fn variant_count(&self) -> usize;
 
@@ -101,19 +112,42 @@ struct Compiled<S: Simd, E: Element> {
     instructions: std::marker::PhantomData<S>,
 }
 
+impl<S: Simd, E: Element> Compiled<S, E> {
+    /// Works on one thread's share of one operation.
+    ///
+    /// # Safety
+    /// As for [`Executable::run`], and what the operation depends on is done.
+    unsafe fn share(&self, operation: usize, frame: &Frame, thread: usize) {
+        let operation = &self.operations[operation];
+        let rows = operation.rows();
+        let share = |thread| rows * thread / self.threads;
+        // SAFETY: passed on from the caller; shares of different threads are disjoint.
+        unsafe { operation.run::<S>(frame, share(thread)..share(thread + 1)) };
+    }
+}
+
 impl<S: Simd, E: Element> Executable for Compiled<S, E> {
     unsafe fn run(&self, pass: usize, frame: &Frame, thread: usize, barrier: &Barrier) {
         for turn in &self.passes[pass] {
             if turn.waits {
                 barrier.wait(thread);
             }
-            let operation = &self.operations[turn.operation];
-            let rows = operation.rows();
-            let share = |thread| rows * thread / self.threads;
-            // SAFETY: shares of different threads are disjoint; what an operation depends on
-            // lies before the barrier.
-            unsafe { operation.run::<S>(frame, share(thread)..share(thread + 1)) };
+            // SAFETY: what an operation depends on lies before the barrier.
+            unsafe { self.share(turn.operation, frame, thread) };
         }
+    }
+
+    unsafe fn run_watched(&self, pass: usize, frame: &Frame, thread: usize, watch: &Watch<'_>) {
+        for (turn, place) in self.passes[pass].iter().zip(0..) {
+            watch.around(thread, place, || {
+                // SAFETY: passed on from the caller; a barrier lies on both sides.
+                unsafe { self.share(turn.operation, frame, thread) };
+            });
+        }
+    }
+
+    fn operations(&self, pass: usize) -> Vec<usize> {
+        self.passes[pass].iter().map(|t| t.operation).collect()
     }
 
     fn variant_count(&self) -> usize {
@@ -178,7 +212,7 @@ fn compile<S: Simd, E: Element>(
     let operations: Vec<Operation<E>> = builder
         .operations
         .iter()
-        .map(|(_, spec)| operation::<S, E>(spec, &places))
+        .map(|op| operation::<S, E>(&op.spec, &places))
         .collect();
     let needs = builder.needs();
     let passes = (0..needs.len())
@@ -203,27 +237,25 @@ fn compile<S: Simd, E: Element>(
         crew,
         isa: options.isa,
         needs,
+        costs: profile::costs(builder, size_of::<E::T>()),
     })
 }
 
 /// The most biases any convolution has that has several; a run may ask for no more.
 fn variants(builder: &Builder) -> usize {
-    let several = builder
-        .operations
-        .iter()
-        .filter_map(|(_, spec)| match spec {
-            Spec::Conv {
-                bias,
-                output,
-                store,
-                ..
-            } => {
-                let phases = if *store == Store::Shuffle { 4 } else { 1 };
-                let count = bias.len() / (builder.features[output.0].channels * phases);
-                (count > 1).then_some(count)
-            }
-            _ => None,
-        });
+    let several = builder.operations.iter().filter_map(|op| match &op.spec {
+        Spec::Conv {
+            bias,
+            output,
+            store,
+            ..
+        } => {
+            let phases = if *store == Store::Shuffle { 4 } else { 1 };
+            let count = bias.len() / (builder.features[output.0].channels * phases);
+            (count > 1).then_some(count)
+        }
+        _ => None,
+    });
     several.min().unwrap_or(1)
 }
 
@@ -236,7 +268,7 @@ fn places<E: Element>(builder: &Builder) -> Places {
         Buffer::Feature(index) => index,
         Buffer::Plane(index) => count + index,
     };
-    for (index, (_, spec)) in builder.operations.iter().enumerate() {
+    for (index, Described { spec, .. }) in builder.operations.iter().enumerate() {
         let reads = spec.reads();
         for (buffer, reach) in &reads {
             if let Buffer::Feature(feature) = buffer {
@@ -337,7 +369,7 @@ fn operation<S: Simd, E: Element>(spec: &Spec, places: &Places) -> Operation<E> 
         } => {
             let targets = GateTargets {
                 plane: plane.map(|plane| places.planes[plane.0]),
-                output: output.map(|(output, scale)| (output.0, scale)),
+                output: output.map(|(output, emit)| (output.0, emit)),
                 kept: kept.map(|(a, b)| (places.features[a.0], places.features[b.0])),
             };
             let inputs = places.all(inputs);
@@ -384,8 +416,9 @@ fn turns(builder: &Builder, places: &Places, pass: usize) -> Vec<Turn> {
     let mut turns = Vec::new();
     let mut read: Vec<Range<usize>> = Vec::new();
     let mut written: Vec<Range<usize>> = Vec::new();
-    let chosen = |(_, (passes, _)): &(usize, &(Passes, Spec))| passes.has(pass);
-    for (operation, (_, spec)) in builder.operations.iter().enumerate().filter(chosen) {
+    let chosen = |(_, op): &(usize, &Described)| op.passes.has(pass);
+    for (operation, Described { spec, .. }) in builder.operations.iter().enumerate().filter(chosen)
+    {
         let reads: Vec<_> = spec
             .reads()
             .iter()

@@ -4,13 +4,15 @@ mod arena;
 mod builder;
 mod crew;
 mod lower;
+mod profile;
 mod spec;
 
 use thiserror::Error;
 
 pub use builder::Builder;
+pub use profile::OpProfile;
 pub use spec::{
-    BuildError, Conv, Feature, Garf, Gate, Input, Options, Output, Passes, Plane, Precision,
+    BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane, Precision,
     THREADS_MAX,
 };
 
@@ -19,6 +21,7 @@ use crate::layout::{Frame, SLOTS};
 use crate::memory::Memory;
 use crew::{Barrier, Crew};
 use lower::Executable;
+use profile::Times;
 
 /// Why a program could not run on the slices it was given.
 #[derive(Debug, Error, PartialEq, Eq)]
@@ -63,6 +66,8 @@ pub struct Program {
     isa: Isa,
     /// Per pass: the slices needed, and their lengths.
     needs: Vec<Needs>,
+    /// Per operation, what profiles say but for the time.
+    costs: Vec<OpProfile>,
 }
 
 /// The caller's slices one pass touches: place in the list and length.
@@ -82,6 +87,16 @@ struct Shared<'a> {
 // between the threads and keep a barrier between dependent operations.
 unsafe impl Sync for Shared<'_> {}
 
+impl Shared<'_> {
+    /// The frame with the scratch at `scratch` bytes from the arena's start.
+    fn of_thread(&self, scratch: usize) -> Frame {
+        let mut frame = self.frame;
+        // SAFETY: the arena ends with one scratch per thread of the crew.
+        frame.scratch = unsafe { frame.arena.add(scratch) };
+        frame
+    }
+}
+
 impl Program {
     /// Runs one pass. `variant` chooses among the biases of convolutions that have several.
     ///
@@ -94,6 +109,68 @@ impl Program {
         inputs: &[&[f32]],
         outputs: &mut [&mut [f32]],
     ) -> Result<(), RunError> {
+        let frame = self.frame(pass, variant, inputs, outputs)?;
+        let shared = Shared {
+            frame,
+            executable: &*self.executable,
+        };
+        let (start, bytes) = (self.scratch_start, self.scratch_bytes);
+        let shared = &shared;
+        self.crew.run(&|thread: usize, barrier: &Barrier| {
+            let frame = shared.of_thread(start + thread * bytes);
+            // SAFETY: the arena is the one the operations were placed in, the slices have been
+            // checked, and the instructions were when the program was built.
+            unsafe { shared.executable.run(pass, &frame, thread, barrier) };
+        });
+        Ok(())
+    }
+
+    /// Runs one pass `repeats` times, at least once, with a barrier around every operation;
+    /// returns the operations in order with the shortest time of each. State advances as it does
+    /// in as many runs. This allocates; [`Program::run`] is not slowed by it.
+    pub fn profile(
+        &mut self,
+        pass: usize,
+        variant: usize,
+        inputs: &[&[f32]],
+        outputs: &mut [&mut [f32]],
+        repeats: usize,
+    ) -> Result<Vec<OpProfile>, RunError> {
+        let frame = self.frame(pass, variant, inputs, outputs)?;
+        let shared = Shared {
+            frame,
+            executable: &*self.executable,
+        };
+        let operations = shared.executable.operations(pass);
+        let times = Times::new(operations.len());
+        let (start, bytes) = (self.scratch_start, self.scratch_bytes);
+        let (shared, times_ref) = (&shared, &times);
+        for _ in 0..repeats.max(1) {
+            self.crew.run(&|thread: usize, barrier: &Barrier| {
+                let frame = shared.of_thread(start + thread * bytes);
+                let watch = times_ref.watch(barrier);
+                // SAFETY: as in `run`.
+                unsafe {
+                    shared.executable.run_watched(pass, &frame, thread, &watch);
+                }
+            });
+        }
+        let of = |(&operation, seconds): (&usize, f64)| OpProfile {
+            pass,
+            seconds,
+            ..self.costs[operation].clone()
+        };
+        Ok(operations.iter().zip(times.seconds()).map(of).collect())
+    }
+
+    /// Checks a call and says where its slices are.
+    fn frame(
+        &mut self,
+        pass: usize,
+        variant: usize,
+        inputs: &[&[f32]],
+        outputs: &mut [&mut [f32]],
+    ) -> Result<Frame, RunError> {
         let Some(needs) = self.needs.get(pass) else {
             let count = self.needs.len();
             return Err(RunError::Pass {
@@ -136,21 +213,7 @@ impl Program {
             check("output", index, actual, wanted)?;
             frame.outputs[index] = outputs[index].as_mut_ptr();
         }
-        let shared = Shared {
-            frame,
-            executable: &*self.executable,
-        };
-        let (start, bytes) = (self.scratch_start, self.scratch_bytes);
-        let shared = &shared;
-        self.crew.run(&|thread: usize, barrier: &Barrier| {
-            let mut frame = shared.frame;
-            // SAFETY: the arena ends with one scratch per thread of the crew.
-            frame.scratch = unsafe { frame.arena.add(start + thread * bytes) };
-            // SAFETY: the arena is the one the operations were placed in, the slices have been
-            // checked, and the instructions were when the program was built.
-            unsafe { shared.executable.run(pass, &frame, thread, barrier) };
-        });
-        Ok(())
+        Ok(frame)
     }
 
     /// The instructions the program was compiled for.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use noctule_raster::PackedEvent;
 use noctule_world::{STEPS, Tier};
 use safetensors::tensor::{Metadata, TensorView};
-use safetensors::{Dtype, SafeTensors};
+use safetensors::Dtype;
 
 use super::codec;
 use super::error::CacheError;
@@ -109,9 +109,15 @@ impl Shard {
         if header > HEADER_BYTES_MAX {
             return Err(fault(format!("header of {header} bytes, allowed {HEADER_BYTES_MAX}")));
         }
-        let mut head = vec![0; 8 + header as usize];
-        file.read_exact_at(&mut head, 0).map_err(in_file)?;
-        let (_, metadata) = SafeTensors::read_metadata(&head).map_err(|e| fault(e.to_string()))?;
+        let mut head = vec![0; header as usize];
+        file.read_exact_at(&mut head, 8).map_err(in_file)?;
+        let metadata: Metadata =
+            serde_json::from_slice(&head).map_err(|e| fault(e.to_string()))?;
+        let bytes = file.metadata().map_err(in_file)?.len();
+        let needed = 8 + header + metadata.data_len() as u64;
+        if bytes != needed {
+            return Err(fault(format!("file has {bytes} bytes, its header says {needed}")));
+        }
         let format = metadata.metadata().as_ref().and_then(|table| table.get("format"));
         if format.map(String::as_str) != Some(FORMAT) {
             return Err(fault(format!("format is {format:?}, wanted {FORMAT:?}")));

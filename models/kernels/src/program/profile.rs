@@ -1,0 +1,240 @@
+//! What every operation costs and how long it takes: measured apart from the steady path.
+//!
+//! Work is counted as the network defines it, not as the kernels pad it, so that a time beside it
+//! says how far a layer is from the machine's limits.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use super::builder::{Builder, Described};
+use super::crew::Barrier;
+use super::spec::{Feature, Spec};
+use crate::garf::Taps;
+
+/// One operation of one pass: its work and its time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OpProfile {
+    /// The label it was described under.
+    pub name: String,
+    /// What it is and its shape, such as `conv 3x3/2 16-32`.
+    pub kind: String,
+    /// The pass it was timed in.
+    pub pass: usize,
+    /// Height and width of what it computes, in pixels; before the store enlarges it.
+    pub size: [usize; 2],
+    /// Multiply-adds on the channels there are. Adaptive fields count as they are computed:
+    /// coefficients, kernels from atoms, windows over the taps some atom uses, mixture.
+    pub macs: u64,
+    /// Bytes of the features, planes and slices read and written, each once, margins and padded
+    /// channels not counted.
+    pub feature_bytes: u64,
+    /// Bytes of the weights, each once.
+    pub weight_bytes: u64,
+    /// Shortest time, in seconds, from barrier to barrier.
+    pub seconds: f64,
+}
+
+impl OpProfile {
+    /// The least time in seconds on a machine of `flops` floating-point operations and
+    /// `bandwidth` bytes per second: whichever of computing and moving takes longer (roofline).
+    #[allow(clippy::cast_precision_loss, reason = "counts far below 2^53")]
+    pub fn bound(&self, flops: f64, bandwidth: f64) -> f64 {
+        let compute = 2.0 * self.macs as f64 / flops;
+        let moving = (self.feature_bytes + self.weight_bytes) as f64 / bandwidth;
+        compute.max(moving)
+    }
+}
+
+/// The profiles of all operations, without times; `number` is the bytes of a stored one.
+pub(super) fn costs(builder: &Builder, number: usize) -> Vec<OpProfile> {
+    let cost = |op: &Described| cost(builder, op, number);
+    builder.operations.iter().map(cost).collect()
+}
+
+/// Work of one operation, in numbers still to be widened.
+struct Work {
+    kind: String,
+    /// What it computes.
+    at: Feature,
+    /// Divides the side of `at` where a store enlarges it.
+    scale: usize,
+    /// Per pixel.
+    macs: usize,
+    weights: usize,
+    /// Bytes beside those of the features.
+    others: usize,
+}
+
+fn cost(builder: &Builder, described: &Described, number: usize) -> OpProfile {
+    let spec = &described.spec;
+    let work = work(builder, spec);
+    let numbers = |f: &Feature| {
+        let feature = builder.features[f.0];
+        feature.channels * feature.size.area()
+    };
+    let size = builder.features[work.at.0].size;
+    let size = [size.height / work.scale, size.width / work.scale];
+    let moved: usize = features(spec).iter().map(numbers).sum();
+    OpProfile {
+        name: described.label.clone(),
+        kind: work.kind,
+        pass: 0,
+        size,
+        macs: (size[0] * size[1] * work.macs) as u64,
+        feature_bytes: (moved * number + work.others) as u64,
+        weight_bytes: (work.weights * number) as u64,
+        seconds: 0.0,
+    }
+}
+
+/// The features read and written.
+fn features(spec: &Spec) -> Vec<Feature> {
+    match spec {
+        Spec::Take { to, .. } => vec![*to],
+        Spec::Give { from, .. } => vec![*from],
+        Spec::Conv {
+            inputs,
+            gain,
+            residual,
+            output,
+            ..
+        } => {
+            let others = gain.iter().chain(residual).chain([output]);
+            inputs.iter().chain(others).copied().collect()
+        }
+        Spec::Gate { inputs, kept, .. } => {
+            let kept = kept.iter().flat_map(|(_, to)| [to]);
+            inputs.iter().chain(kept).copied().collect()
+        }
+        Spec::Garf {
+            x, hidden, output, ..
+        } => vec![*x, *hidden, *output],
+    }
+}
+
+fn work(builder: &Builder, spec: &Spec) -> Work {
+    let float = size_of::<f32>();
+    let channels = |f: &Feature| builder.features[f.0].channels;
+    let area = |f: &Feature| builder.features[f.0].size.area();
+    let sum = |inputs: &[Feature]| -> usize { inputs.iter().map(channels).sum() };
+    match spec {
+        Spec::Take { intake, to, .. } => Work {
+            kind: format!("take {}", channels(to)),
+            at: *to,
+            scale: 1,
+            macs: 0,
+            weights: 0,
+            others: intake.planes(channels(to)) * area(to) * float,
+        },
+        Spec::Give { from, .. } => Work {
+            kind: format!("give {}", channels(from)),
+            at: *from,
+            scale: 1,
+            macs: 0,
+            weights: 0,
+            others: channels(from) * area(from) * float,
+        },
+        Spec::Conv {
+            inputs,
+            weight,
+            kernel,
+            stride,
+            store,
+            output,
+            ..
+        } => {
+            let inputs = sum(inputs);
+            let outputs = weight.len() / (inputs * kernel * kernel);
+            let halving = if *stride == 1 { "" } else { "/2" };
+            Work {
+                kind: format!("conv {kernel}x{kernel}{halving} {inputs}-{outputs}"),
+                at: *output,
+                scale: store.scale(),
+                macs: weight.len(),
+                weights: weight.len(),
+                others: 0,
+            }
+        }
+        Spec::Gate {
+            inputs,
+            weight,
+            kernel,
+            plane,
+            output,
+            ..
+        } => Work {
+            kind: format!("gate {kernel}x{kernel} {}-1", sum(inputs)),
+            at: inputs[0],
+            scale: 1,
+            macs: weight.len(),
+            weights: weight.len(),
+            others: (usize::from(plane.is_some()) + usize::from(output.is_some()))
+                * area(&inputs[0])
+                * float,
+        },
+        Spec::Garf {
+            x,
+            atoms,
+            side,
+            filters,
+            coefficients,
+            mix,
+            ..
+        } => {
+            let taps = Taps::new(atoms, *side);
+            let kernels = filters * taps.atom_count * taps.offsets.len();
+            let windows = filters * channels(x) * taps.offsets.len();
+            let dense = coefficients.0.len() + mix.0.len();
+            Work {
+                kind: format!("garf {side}x{side} {}x{filters}", channels(x)),
+                at: *x,
+                scale: 1,
+                macs: dense + kernels + windows,
+                weights: dense + taps.atoms.len(),
+                others: area(x) * float,
+            }
+        }
+    }
+}
+
+/// Shortest times of the operations of one pass, in nanoseconds.
+pub(super) struct Times(Vec<AtomicU64>);
+
+/// Takes down times while a crew works.
+pub(super) struct Watch<'a> {
+    times: &'a [AtomicU64],
+    barrier: &'a Barrier,
+}
+
+impl Times {
+    pub(super) fn new(count: usize) -> Self {
+        Self((0..count).map(|_| AtomicU64::new(u64::MAX)).collect())
+    }
+
+    pub(super) fn watch<'a>(&'a self, barrier: &'a Barrier) -> Watch<'a> {
+        Watch {
+            times: &self.0,
+            barrier,
+        }
+    }
+
+    #[allow(clippy::cast_precision_loss, reason = "times far below 2^53 ns")]
+    pub(super) fn seconds(&self) -> impl Iterator<Item = f64> {
+        let seconds = |time: &AtomicU64| time.load(Ordering::Relaxed) as f64 / 1e9;
+        self.0.iter().map(seconds)
+    }
+}
+
+impl Watch<'_> {
+    /// Does `work` between two barriers; the first thread of the crew times it.
+    pub(super) fn around(&self, thread: usize, place: usize, work: impl FnOnce()) {
+        self.barrier.wait(thread);
+        let started = Instant::now();
+        work();
+        self.barrier.wait(thread);
+        if thread == 0 {
+            let spent = u64::try_from(started.elapsed().as_nanos()).unwrap_or(u64::MAX);
+            self.times[place].fetch_min(spent, Ordering::Relaxed);
+        }
+    }
+}
