@@ -108,16 +108,17 @@ impl PlaneConv<'_> {
         let out = Fresh::new(g.batch * g.out_len());
         let stretches = g.stretches();
         each(stretches.len(), |i| {
-            run(
-                self.isa,
-                Forward {
+            with_scratch(Forward::scratch_len(g), |scratch| {
+                let unit = Forward {
                     conv: self,
                     offsets: &offsets,
                     weights: &weights,
                     stretch: stretches[i],
                     out: &out,
-                },
-            );
+                    scratch,
+                };
+                run(self.isa, unit);
+            });
         });
         // SAFETY: the stretches cover every row of every output.
         unsafe { out.into_values() }
@@ -158,14 +159,15 @@ impl PlaneConv<'_> {
             } else {
                 Vec::new()
             };
-            run(
-                self.isa,
-                Backward {
+            with_scratch(Backward::scratch_len(g, wanted), |scratch| {
+                let unit = Backward {
                     shared: &shared,
                     stretch: stretches[i],
                     part: &mut part,
-                },
-            );
+                    scratch,
+                };
+                run(self.isa, unit);
+            });
             part
         });
         let mut grads = ConvGrads::default();
@@ -221,64 +223,78 @@ struct Forward<'a> {
     weights: &'a [f32],
     stretch: Stretch,
     out: &'a Fresh,
+    scratch: &'a mut [f32],
 }
 
 impl Kernel for Forward<'_> {
     #[inline(always)]
     unsafe fn run<S: Simd>(self) {
-        let Self { conv, stretch, .. } = self;
+        let Self {
+            conv,
+            stretch,
+            offsets,
+            weights,
+            out,
+            scratch,
+        } = self;
         let g = &conv.geometry;
-        let len = stretch.count * g.row();
-        let seen = g.inputs * g.channel_len() + LANES;
-        with_scratch(seen + g.outputs * sums_row(len), |scratch| {
-            let (source, sums) = scratch.split_at_mut(seen);
-            conv.copy_inputs(stretch, source);
-            let product = WeightedSums {
-                source,
-                offsets: self.offsets,
-                weights: self.weights,
-                outputs: g.outputs,
-                len,
-            };
-            // SAFETY: the caller vouches for the instructions.
-            unsafe {
-                product.run::<S>(sums);
-                self.finish::<S>(sums);
-            }
-        });
+        let (source, sums) = scratch.split_at_mut(seen_len(g));
+        conv.copy_inputs(stretch, source);
+        let product = WeightedSums {
+            source,
+            offsets,
+            weights,
+            outputs: g.outputs,
+            len: stretch.count * g.row(),
+        };
+        // SAFETY: the caller vouches for the instructions.
+        unsafe {
+            product.run::<S>(sums);
+            conv.finish::<S>(stretch, sums, out);
+        }
     }
 }
 
 impl Forward<'_> {
+    fn scratch_len(g: &Geometry) -> usize {
+        seen_len(g) + g.outputs * sums_row(g.stretch_rows() * g.row())
+    }
+}
+
+/// Room for what a stretch sees, with a vector to read beyond it.
+fn seen_len(g: &Geometry) -> usize {
+    g.inputs * g.channel_len() + LANES
+}
+
+impl PlaneConv<'_> {
     /// Adds bias and residual, applies the activation and puts the rows where they belong.
     ///
     /// # Safety
     /// The processor has the instructions of `S`.
     #[inline(always)]
-    unsafe fn finish<S: Simd>(&self, sums: &[f32]) {
-        let Self { conv, stretch, .. } = self;
-        let g = &conv.geometry;
+    unsafe fn finish<S: Simd>(&self, stretch: Stretch, sums: &[f32], to: &Fresh) {
+        let g = &self.geometry;
         let (height, width) = (g.out_height(), g.out_width());
         let channels = sums.chunks_exact(sums_row(stretch.count * g.row()));
         for (output, sums) in channels.enumerate().take(g.outputs) {
             let plane = (stretch.picture * g.outputs + output) * height * width;
             let start = plane + stretch.first * width;
-            let bias = conv.bias.map_or(0.0, |bias| bias[output]);
+            let bias = self.bias.map_or(0.0, |bias| bias[output]);
             // SAFETY: these rows of this output are the stretch's alone; they are written first.
             unsafe {
-                let out = self.out.part(start, stretch.count * width);
+                let out = to.part(start, stretch.count * width);
                 for (out, sums) in out.chunks_exact_mut(width).zip(sums.chunks(g.row())) {
                     out.copy_from_slice(&sums[..width]);
                 }
-                if let Some(residual) = conv.residual {
+                if let Some(residual) = self.residual {
                     let residual = &residual[start..][..out.len()];
                     for (out, residual) in out.iter_mut().zip(residual) {
                         *out += bias + residual;
                     }
-                } else if conv.bias.is_some() {
+                } else if self.bias.is_some() {
                     out.iter_mut().for_each(|out| *out += bias);
                 }
-                activate::<S>(conv.activation, out);
+                activate::<S>(self.activation, out);
             }
         }
     }
@@ -303,6 +319,25 @@ struct Backward<'a> {
     stretch: Stretch,
     /// Weight gradients, then bias gradients, of this stretch.
     part: &'a mut [f32],
+    scratch: &'a mut [f32],
+}
+
+impl Backward<'_> {
+    fn scratch_len(g: &Geometry, wanted: Wanted) -> usize {
+        let seen = if wanted.weight { seen_len(g) } else { 0 };
+        let rows = (g.stretch_rows() + 1) * g.row();
+        let summed = if wanted.sources {
+            g.inputs * sums_row(rows)
+        } else {
+            0
+        };
+        inner_len(g) + seen + summed
+    }
+}
+
+/// Room for the gradient before the activation, with a vector to read beyond it.
+fn inner_len(g: &Geometry) -> usize {
+    g.outputs * g.grad_len() + LANES
 }
 
 impl Kernel for Backward<'_> {
@@ -312,40 +347,28 @@ impl Kernel for Backward<'_> {
             shared,
             stretch,
             part,
+            scratch,
         } = self;
         let (g, wanted) = (&shared.conv.geometry, shared.wanted);
-        let inner = g.outputs * g.grad_len() + LANES;
-        let seen = if wanted.weight {
-            g.inputs * g.channel_len() + LANES
-        } else {
-            0
-        };
-        let rows = (g.stretch_rows() + 1) * g.row();
-        let summed = if wanted.sources {
-            g.inputs * sums_row(rows)
-        } else {
-            0
-        };
-        with_scratch(inner + seen + summed, |scratch| {
-            let (inner, rest) = scratch.split_at_mut(inner);
-            let (source, sums) = rest.split_at_mut(seen);
-            shared.copy_grads(stretch, inner);
-            if wanted.residual {
-                shared.give_residual(stretch, inner);
+        let seen = if wanted.weight { seen_len(g) } else { 0 };
+        let (inner, rest) = scratch.split_at_mut(inner_len(g));
+        let (source, sums) = rest.split_at_mut(seen);
+        shared.copy_grads(stretch, inner);
+        if wanted.residual {
+            shared.give_residual(stretch, inner);
+        }
+        // SAFETY: the caller vouches for the instructions.
+        unsafe {
+            if wanted.weight {
+                shared.conv.copy_inputs(stretch, source);
+                shared.weight_grads::<S>(stretch, inner, source, part);
             }
-            // SAFETY: the caller vouches for the instructions.
-            unsafe {
-                if wanted.weight {
-                    shared.conv.copy_inputs(stretch, source);
-                    shared.weight_grads::<S>(stretch, inner, source, part);
-                }
-                if wanted.sources {
-                    for (phase, weights) in shared.phases.iter().zip(&shared.weights) {
-                        shared.source_grads::<S>(stretch, phase, weights, inner, sums);
-                    }
+            if wanted.sources {
+                for (phase, weights) in shared.phases.iter().zip(&shared.weights) {
+                    shared.source_grads::<S>(stretch, phase, weights, inner, sums);
                 }
             }
-        });
+        }
     }
 }
 
