@@ -2,5 +2,12 @@
 //! backward, and the optimiser's step.
 
 mod adam;
+mod conv;
+mod geometry;
+mod rows;
+mod sums;
+mod work;
 
 pub use adam::{AdamRates, adam_update};
+pub use conv::{ConvGrads, PlaneConv, Wanted};
+pub use geometry::Geometry;
