@@ -21,6 +21,7 @@
 #![forbid(unsafe_code)]
 
 mod accounting;
+mod adam;
 mod blocks;
 mod config;
 mod conv;
@@ -36,9 +37,12 @@ mod plan;
 mod prefill;
 mod rdu;
 mod sequence;
+mod slices;
 mod weights;
+mod window;
 
 pub use accounting::{Description, ModuleCost, describe};
+pub use adam::{Adam, AdamError, AdamOptions, AdamState};
 pub use config::{
     COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, Form, SIDE_MULTIPLE, Variant, WIDTH_MAX,
 };

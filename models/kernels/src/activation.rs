@@ -18,7 +18,7 @@ pub enum Activation {
 }
 
 /// Slope of the leaky rectifier left of zero.
-const SLOPE: f32 = 0.1;
+pub(crate) const SLOPE: f32 = 0.1;
 
 /// `tanh x = x P(x^2) / Q(x^2)` for |x| up to [`TANH_LIMIT`]: a rational fit of our own by
 /// reweighted least squares on Chebyshev nodes; its own error is 2.1e-8 relatively.
