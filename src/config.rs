@@ -180,8 +180,66 @@ pub struct Infer {
     pub model: ModelId,
     /// Whether cheaper ones may stand in.
     pub ladder: bool,
+    /// Threads that work on a network together; 0 is one per processor, at most
+    /// [`THREADS_DEFAULT_MAX`].
+    pub threads: usize,
+    /// How a network stores features and weights on processors.
+    pub precision: Precision,
+    /// Where networks run.
+    pub device: Device,
     /// Weight files by model.
     pub weights: BTreeMap<ModelId, PathBuf>,
+}
+
+/// Most threads a network takes where the configuration leaves the number open.
+pub const THREADS_DEFAULT_MAX: usize = 4;
+/// Most threads a configuration may ask for.
+pub const THREADS_MAX: usize = 64;
+
+/// How numbers are stored; sums are always single precision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Single precision.
+    F32,
+    /// bfloat16.
+    Bf16,
+}
+
+/// Where networks run: `cpu` or `cuda:0`, `cuda:1`, ...
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "String")]
+pub enum Device {
+    /// The processors.
+    Cpu,
+    /// A GPU, by index.
+    Cuda(usize),
+}
+
+impl TryFrom<String> for Device {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let gpu = || text.strip_prefix("cuda:")?.parse().ok();
+        match text.as_str() {
+            "cpu" => Ok(Self::Cpu),
+            _ => gpu().map(Self::Cuda).ok_or_else(|| {
+                format!("device \"{text}\" is neither \"cpu\" nor \"cuda:0\", \"cuda:1\", ...")
+            }),
+        }
+    }
+}
+
+impl Infer {
+    /// The threads of a network on this machine.
+    #[must_use]
+    pub fn thread_count(&self) -> usize {
+        match self.threads {
+            0 => std::thread::available_parallelism()
+                .map_or(1, |count| count.get().min(THREADS_DEFAULT_MAX)),
+            count => count,
+        }
+    }
 }
 
 impl Default for Config {
@@ -261,6 +319,9 @@ impl Default for Infer {
         Self {
             model: ModelId::Fill,
             ladder: true,
+            threads: 0,
+            precision: Precision::F32,
+            device: Device::Cpu,
             weights: BTreeMap::new(),
         }
     }
@@ -409,6 +470,10 @@ impl Config {
                     "only xs, s and full have weights",
                 );
             }
+        }
+        if self.infer.threads > THREADS_MAX {
+            let reason = "a network is run by at most 64 threads";
+            return refuse("infer.threads", &self.infer.threads, reason);
         }
         if self.infer.model >= ModelId::Xs && !self.infer.weights.contains_key(&self.infer.model) {
             let reason = "the model has no file under [infer.weights]";

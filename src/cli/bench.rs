@@ -19,6 +19,9 @@ pub struct Arguments {
 enum What {
     /// Exposure closed to bundle sent, at several event rates, beside a copy of the bundle
     Host(Host),
+    /// Picture in to depth maps out of the networks, beside the processors' peak
+    #[cfg(feature = "model")]
+    Infer(super::bench_infer::Arguments),
 }
 
 #[derive(Debug, clap::Args)]
@@ -44,9 +47,16 @@ struct Host {
 }
 
 /// Runs the benchmark and prints its table.
-#[expect(clippy::print_stdout, reason = "the table is this command's output")]
 pub fn run(arguments: &Arguments) -> Outcome {
-    let What::Host(host) = &arguments.what;
+    match &arguments.what {
+        What::Host(host) => run_host(host),
+        #[cfg(feature = "model")]
+        What::Infer(infer) => super::bench_infer::run(infer),
+    }
+}
+
+#[expect(clippy::print_stdout, reason = "the table is this command's output")]
+fn run_host(host: &Host) -> Outcome {
     let mut config = match &host.config {
         Some(path) => Config::load(path)?,
         None => Config::default(),

@@ -4,6 +4,8 @@
 //! standard error); 2 the arguments are wrong; 130 it was interrupted and ended cleanly.
 
 mod bench;
+#[cfg(feature = "model")]
+mod bench_infer;
 mod check;
 mod demo;
 mod export;
@@ -12,6 +14,8 @@ mod infer;
 mod inspect;
 mod progress;
 mod replay;
+#[cfg(feature = "model")]
+mod train;
 #[cfg(feature = "model")]
 mod weights;
 mod world;
@@ -54,6 +58,9 @@ enum Command {
     Bench(bench::Arguments),
     /// Checks a configuration file
     Check(check::Arguments),
+    /// Trains a network on the synthetic night
+    #[cfg(feature = "model")]
+    Train(train::Arguments),
     /// Describes the networks, or compares one with reference outputs
     #[cfg(feature = "model")]
     Weights(weights::Arguments),
@@ -90,6 +97,8 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Command::Export(a) => export::run(&a),
         Command::Bench(a) => bench::run(&a),
         Command::Check(a) => check::run(&a),
+        #[cfg(feature = "model")]
+        Command::Train(a) => train::run(&a),
         #[cfg(feature = "model")]
         Command::Weights(a) => weights::run(&a),
     };

@@ -38,6 +38,17 @@ pub enum InferError {
         /// Why.
         cause: Box<dyn std::error::Error + Send + Sync>,
     },
+    /// A device that is not there.
+    #[cfg(feature = "model")]
+    #[error(
+        "infer.device = \"cuda:{index}\": {cause}; is this a build with feature `cuda`, and is there such a GPU?"
+    )]
+    Device {
+        /// Which GPU.
+        index: usize,
+        /// Why.
+        cause: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// A network failed.
     #[cfg(feature = "model")]
     #[error("model {model}: {cause}")]

@@ -1,17 +1,27 @@
 //! ERU-Net behind the engines' interface: floats of shared memory in, floats out.
+//!
+//! On processors a network runs as a compiled plan; on a GPU as candle's network. Both come from
+//! the same weights.
 
 use std::collections::BTreeMap;
 
 use candle_core::{Device, Tensor};
-use noctule_erunet::{Network, Norms, Sequence, Weights};
+use noctule_erunet::{Network, Norms, Plan, PlanOptions, Sequence, Weights};
+use noctule_kernels::{Isa, Precision};
 
 use super::InferError;
-use crate::config::Config;
+use crate::config::{self, Config};
 use crate::frame::{BundleLayout, BundlePlanes, ModelId};
 
 /// The networks that were loaded.
 pub(super) struct Networks {
-    by_model: BTreeMap<ModelId, Network>,
+    by_model: BTreeMap<ModelId, Loaded>,
+}
+
+/// One network, ready to run.
+enum Loaded {
+    Plan(Box<Plan>),
+    Candle(Box<Network>),
 }
 
 fn failed<E: std::error::Error + Send + Sync + 'static>(
@@ -23,30 +33,38 @@ fn failed<E: std::error::Error + Send + Sync + 'static>(
     }
 }
 
+/// What candle calls the configured device.
+fn device(config: &Config) -> Result<Device, InferError> {
+    match config.infer.device {
+        config::Device::Cpu => Ok(Device::Cpu),
+        config::Device::Cuda(index) => {
+            Device::new_cuda(index).map_err(|cause| InferError::Device {
+                index,
+                cause: Box::new(cause),
+            })
+        }
+    }
+}
+
+/// How plans are compiled under this configuration.
+pub(super) fn plan_options(config: &Config) -> PlanOptions {
+    PlanOptions {
+        threads: config.infer.thread_count(),
+        precision: match config.infer.precision {
+            config::Precision::F32 => Precision::Single,
+            config::Precision::Bf16 => Precision::Brain,
+        },
+        isa: Isa::detect(),
+    }
+}
+
 impl Networks {
     /// Loads every weight file that the configuration names.
     pub fn load(config: &Config) -> Result<Self, InferError> {
+        let device = device(config)?;
         let mut by_model = BTreeMap::new();
-        for (&model, path) in &config.infer.weights {
-            let weights = Weights::read(path, &Device::Cpu).map_err(|cause| InferError::File {
-                model,
-                path: path.clone(),
-                cause: Box::new(cause),
-            })?;
-            let family = match model {
-                ModelId::S => noctule_erunet::Config::s(),
-                ModelId::Full => noctule_erunet::Config::full(),
-                _ => noctule_erunet::Config::xs(),
-            };
-            let written_with = weights.config().cloned().unwrap_or(family);
-            let (steps, bins) = (config.grid.steps as usize, config.grid.bins as usize);
-            if (written_with.steps, written_with.bins) != (steps, bins) {
-                let reason = "its steps or bins differ from the grid's";
-                return Err(InferError::Missing { model, reason });
-            }
-            let network =
-                Network::new(&written_with, &weights, Norms::Fold).map_err(failed(model))?;
-            by_model.insert(model, network);
+        for &model in config.infer.weights.keys() {
+            by_model.insert(model, load(config, model, &device)?);
         }
         Ok(Self { by_model })
     }
@@ -58,33 +76,74 @@ impl Networks {
 
     /// Starts a sequence.
     pub fn begin<'a>(
-        &'a self,
+        &'a mut self,
         model: ModelId,
         layout: &BundleLayout,
         planes: &BundlePlanes<'_>,
     ) -> Result<NetworkRun<'a>, InferError> {
         let reason = "no weights are loaded (see [infer.weights])";
-        let network = self
+        let loaded = self
             .by_model
-            .get(&model)
+            .get_mut(&model)
             .ok_or(InferError::Missing { model, reason })?;
-        let (h, w) = (layout.height, layout.width);
-        let blur =
-            Tensor::from_slice(planes.image, (1, 3, h, w), &Device::Cpu).map_err(failed(model))?;
-        let sequence = network.begin(&blur).map_err(failed(model))?;
+        let state = match loaded {
+            Loaded::Plan(plan) => {
+                plan.begin(planes.image).map_err(failed(model))?;
+                State::Plan(plan)
+            }
+            Loaded::Candle(network) => {
+                let shape = (1, 3, layout.height, layout.width);
+                let blur = Tensor::from_slice(planes.image, shape, network.device());
+                let blur = blur.map_err(failed(model))?;
+                State::Candle(network.begin(&blur).map_err(failed(model))?, network)
+            }
+        };
         Ok(NetworkRun {
             model,
             layout: *layout,
-            sequence,
+            state,
         })
     }
+}
+
+fn load(config: &Config, model: ModelId, device: &Device) -> Result<Loaded, InferError> {
+    let path = &config.infer.weights[&model];
+    let weights = Weights::read(path, device).map_err(|cause| InferError::File {
+        model,
+        path: path.clone(),
+        cause: Box::new(cause),
+    })?;
+    let family = match model {
+        ModelId::S => noctule_erunet::Config::s(),
+        ModelId::Full => noctule_erunet::Config::full(),
+        _ => noctule_erunet::Config::xs(),
+    };
+    let written_with = weights.config().cloned().unwrap_or(family);
+    let (steps, bins) = (config.grid.steps as usize, config.grid.bins as usize);
+    if (written_with.steps, written_with.bins) != (steps, bins) {
+        let reason = "its steps or bins differ from the grid's";
+        return Err(InferError::Missing { model, reason });
+    }
+    if device.is_cpu() {
+        let (height, width) = (config.grid.height as usize, config.grid.width as usize);
+        let options = plan_options(config);
+        let plan = Plan::new(&written_with, &weights, height, width, options);
+        return Ok(Loaded::Plan(Box::new(plan.map_err(failed(model))?)));
+    }
+    let network = Network::new(&written_with, &weights, Norms::Fold).map_err(failed(model))?;
+    Ok(Loaded::Candle(Box::new(network)))
 }
 
 /// A sequence of one network.
 pub(super) struct NetworkRun<'a> {
     model: ModelId,
     layout: BundleLayout,
-    sequence: Sequence<'a>,
+    state: State<'a>,
+}
+
+enum State<'a> {
+    Plan(&'a mut Plan),
+    Candle(Sequence<'a>, &'a Network),
 }
 
 impl NetworkRun<'_> {
@@ -96,31 +155,34 @@ impl NetworkRun<'_> {
         depth: &mut [f32],
         trust: &mut [f32],
     ) -> Result<(), InferError> {
-        let BundleLayout {
-            bins,
-            height,
-            width,
-            ..
-        } = self.layout;
+        let BundleLayout { bins, .. } = self.layout;
         let plane = self.layout.plane();
-        let model = self.model;
         let voxel = &planes.voxels[step * bins * plane..][..bins * plane];
         let sparse = &planes.sparse[step * plane..][..plane];
-        let tensor = |values: &[f32], channels| {
-            Tensor::from_slice(values, (1, channels, height, width), &Device::Cpu)
-                .map_err(failed(model))
-        };
-        let out = self
-            .sequence
-            .step(&tensor(voxel, bins)?, &tensor(sparse, 1)?)
-            .map_err(failed(model))?;
-        for (tensor, into) in [(&out.depth, depth), (&out.confidence, trust)] {
-            let values = tensor
-                .flatten_all()
-                .and_then(|t| t.to_vec1::<f32>())
-                .map_err(failed(model))?;
-            into.copy_from_slice(&values);
+        match &mut self.state {
+            State::Plan(plan) => plan
+                .step(voxel, sparse, depth, trust)
+                .map_err(failed(self.model)),
+            State::Candle(sequence, network) => {
+                let (h, w) = (self.layout.height, self.layout.width);
+                // Sparse depth stays here: completing it by the nearest return is the processor's.
+                let given = (|| {
+                    Ok::<_, candle_core::Error>((
+                        Tensor::from_slice(voxel, (1, bins, h, w), network.device())?,
+                        Tensor::from_slice(sparse, (1, 1, h, w), &Device::Cpu)?,
+                    ))
+                })();
+                let (voxel, sparse) = given.map_err(failed(self.model))?;
+                let out = sequence.step(&voxel, &sparse).map_err(failed(self.model))?;
+                for (tensor, into) in [(&out.depth, depth), (&out.confidence, trust)] {
+                    let values = tensor
+                        .flatten_all()
+                        .and_then(|t| t.to_vec1::<f32>())
+                        .map_err(failed(self.model))?;
+                    into.copy_from_slice(&values);
+                }
+                Ok(())
+            }
         }
-        Ok(())
     }
 }

@@ -89,6 +89,35 @@ impl Completer {
         Ok(())
     }
 
+    /// As [`Completer::nearest`], with the [`confidence`] of every pixel in place of its distance;
+    /// says whether there was any return. Without one both maps are 0 everywhere.
+    pub fn nearest_with_confidence(
+        &mut self,
+        sparse: &[f32],
+        depth: &mut [f32],
+        confidence: &mut [f32],
+    ) -> Result<bool, SizeError> {
+        self.size.check("sparse", sparse.len())?;
+        self.size.check("depth", depth.len())?;
+        self.size.check("confidence", confidence.len())?;
+        if !self.field.find(sparse) {
+            depth.fill(0.0);
+            confidence.fill(0.0);
+            return Ok(false);
+        }
+        for (depth, &source) in depth.iter_mut().zip(&self.field.source) {
+            *depth = sparse[source as usize];
+        }
+        let table = &self.confidence_by_distance_sq;
+        for (value, &distance_sq) in confidence.iter_mut().zip(&self.field.distance_sq) {
+            *value = match table.get(distance_sq as usize) {
+                Some(&known) => known,
+                None => self::confidence((distance_sq as f32).sqrt()),
+            };
+        }
+        Ok(true)
+    }
+
     /// Completes the map with surfaces fitted to the returns; see the crate's first page for how.
     ///
     /// Every pixel receives a depth above zero as soon as one return exists, and its

@@ -8,7 +8,7 @@ use std::ops::{Add, AddAssign, Mul};
 
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Config, ConfigError};
+use crate::config::{Config, ConfigError, Form};
 use crate::rdu::bank_size;
 
 /// Parameters and multiply-adds of one part.
@@ -35,8 +35,11 @@ pub struct ModuleCost {
 /// A configuration with its cost; the JSON of `config` is what the speed comparison reads.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Description {
-    /// The widths.
+    /// The widths, in the paper's form whichever `form` is.
     pub config: Config,
+    /// How depth enters and leaves.
+    #[serde(default)]
+    pub form: Form,
     /// Height and width the multiply-adds are counted for, in pixels.
     pub size: [usize; 2],
     /// Trained values in all.
@@ -106,7 +109,8 @@ pub fn describe(config: &Config, height: usize, width: usize) -> Result<Descript
         })
         .collect();
     Ok(Description {
-        config: config.clone(),
+        config: config.clone().with_form(Form::Direct),
+        form: config.form,
         size: [height, width],
         params: modules.iter().map(|module| module.params).sum(),
         gmac: modules.iter().map(|module| module.gmac).sum(),
@@ -220,7 +224,7 @@ fn rdu(config: &Config, grid: Grid) -> Vec<(&'static str, Runs, Cost)> {
         let event = stem + levels(grid, &config.e, &config.n_e);
         parts.push(("rdu.event", Runs::EveryStep, event));
     }
-    let depth = grid.conv(5, 2, d[0], 0) + levels(grid, &d, &config.n_d);
+    let depth = grid.conv(5, config.form.depth_channels(), d[0], 0) + levels(grid, &d, &config.n_d);
     parts.push(("rdu.depth", Runs::EveryStep, depth));
     let joined = d[4] + config.guidance_width(4);
     let bottleneck = grid.conv_bn(1, joined, d[4], 4) + grid.res_d(d[4], 4) * config.n_b;
@@ -281,8 +285,8 @@ mod tests {
     fn the_family_costs_what_its_table_says() {
         for (name, params, gmac) in [
             ("full", 29.693, 347.36),
-            ("s", 2.170, 34.62),
-            ("xs", 0.448, 6.95),
+            ("s", 2.365, 59.74),
+            ("xs", 0.581, 18.77),
         ] {
             let description = describe(&Config::member(name).unwrap(), 256, 256).unwrap();
             #[allow(clippy::cast_precision_loss, reason = "far below 2^53")]
@@ -359,7 +363,7 @@ mod tests {
         let description = describe(&Config::xs(), 256, 256).unwrap();
         let json = serde_json::to_string(&description).unwrap();
         let read: Description = serde_json::from_str(&json).unwrap();
-        assert_eq!(read.config, Config::xs());
+        assert_eq!(read.config.with_form(read.form), Config::xs());
         assert_eq!(read.modules.len(), 18);
         assert!(json.contains("\"n_sp\":[0,1,1]"), "{json}");
     }

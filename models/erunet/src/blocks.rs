@@ -4,6 +4,7 @@
 //! reshape and a broadcast, because candle's own operation overwrites gradients.
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
 use crate::conv::{Conv, ConvShape};
 use crate::norm::Normed;
@@ -12,6 +13,17 @@ use crate::pass::Pass;
 
 /// Slope of the leaky rectifier left of zero.
 pub(crate) const SLOPE: f64 = 0.1;
+
+/// An activation in tensor operations, any shape.
+pub(crate) fn activate(x: &Tensor, activation: Activation) -> Result<Tensor> {
+    match activation {
+        Activation::None => Ok(x.clone()),
+        Activation::Relu => relu(x),
+        Activation::LeakyRelu => leaky_relu(x),
+        Activation::Tanh => x.tanh(),
+        Activation::Sigmoid => sigmoid(x),
+    }
+}
 
 /// `max(x, 0.1 x)`, any shape.
 pub(crate) fn leaky_relu(x: &Tensor) -> Result<Tensor> {
@@ -51,6 +63,30 @@ pub(crate) fn nearest_2x(x: &Tensor) -> Result<Tensor> {
         .reshape((b, c, 2 * h, 2 * w))
 }
 
+/// `x` plus `low` of half its size, each pixel repeated: `[B, C, H, W]` and `[B, C, H/2, W/2]`.
+pub(crate) fn add_nearest_2x(x: &Tensor, low: &Tensor) -> Result<Tensor> {
+    x + nearest_2x(low)?
+}
+
+/// `gamma * x + beta`, all of one shape.
+pub(crate) fn modulate(gamma: &Tensor, x: &Tensor, beta: &Tensor) -> Result<Tensor> {
+    (gamma * x)? + beta
+}
+
+/// `confidence * x`: `[B, C, H, W]` and `[B, 1, H, W]`.
+pub(crate) fn trust(x: &Tensor, confidence: &Tensor) -> Result<Tensor> {
+    x.broadcast_mul(confidence)
+}
+
+/// `kept + (1 - confidence) * other`: `[B, C, H, W]` twice and `[B, 1, H, W]`.
+pub(crate) fn replace_doubted(
+    kept: &Tensor,
+    other: &Tensor,
+    confidence: &Tensor,
+) -> Result<Tensor> {
+    kept + other.broadcast_mul(&confidence.affine(-1.0, 1.0)?)?
+}
+
 /// Convolution, batch normalisation, rectifier.
 pub(crate) struct ConvBn(Normed);
 
@@ -61,7 +97,12 @@ impl ConvBn {
 
     /// `x` `[B, I, H, W]`; returns `[B, O, H/stride, W/stride]`.
     pub(crate) fn forward(&self, x: &Tensor, pass: &mut Pass) -> Result<Tensor> {
-        relu(&self.0.forward(x, pass)?)
+        self.forward_joined(&[x], pass)
+    }
+
+    /// As [`ConvBn::forward`], of sources whose channels follow one another.
+    pub(crate) fn forward_joined(&self, sources: &[&Tensor], pass: &mut Pass) -> Result<Tensor> {
+        self.0.apply(sources, None, Activation::Relu, pass)
     }
 }
 
@@ -80,7 +121,8 @@ impl ResE {
     }
 
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        x + self.conv2.forward(&leaky_relu(&self.conv1.forward(x)?)?)?
+        let y = self.conv1.activated(x, Activation::LeakyRelu)?;
+        self.conv2.apply(&[&y], Some(x), Activation::None)
     }
 }
 
@@ -117,8 +159,8 @@ impl ResD {
     }
 
     fn forward(&self, x: &Tensor, pass: &mut Pass) -> Result<Tensor> {
-        let y = relu(&self.first.forward(x, pass)?)?;
-        relu(&(x + self.second.forward(&y, pass)?)?)
+        let y = self.first.apply(&[x], None, Activation::Relu, pass)?;
+        self.second.apply(&[&y], Some(x), Activation::Relu, pass)
     }
 }
 
@@ -152,6 +194,14 @@ impl ResDs {
     }
 }
 
+/// `[B, 4 C, H, W]` to `[B, C, 2H, 2W]`: four channels become a square of pixels.
+fn shuffle_2x(x: &Tensor) -> Result<Tensor> {
+    let (b, c, h, w) = x.dims4()?;
+    x.reshape((b, c / 4, 2, 2, h, w))?
+        .permute((0, 1, 4, 2, 5, 3))? // [B, C, H, 2, W, 2]
+        .reshape((b, c / 4, 2 * h, 2 * w))
+}
+
 /// 1x1 convolution to four times the channels, then pixel shuffle by two.
 pub(crate) struct Up {
     conv: Conv,
@@ -167,10 +217,12 @@ impl Up {
     /// `x` `[B, I, H, W]`; returns `[B, O, 2H, 2W]` with
     /// `out[o, 2y + a, 2x + b] = conv[4 o + 2 a + b, y, x]`.
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let y = self.conv.forward(x)?;
-        let (b, c, h, w) = y.dims4()?;
-        y.reshape((b, c / 4, 2, 2, h, w))?
-            .permute((0, 1, 4, 2, 5, 3))? // [B, O, H, 2, W, 2]
-            .reshape((b, c / 4, 2 * h, 2 * w))
+        self.activated(x, Activation::None)
+    }
+
+    /// [`Up::forward`] and an activation.
+    pub(crate) fn activated(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+        // The activation goes value by value: before the shuffle or after it is the same.
+        shuffle_2x(&self.conv.activated(x, activation)?)
     }
 }

@@ -28,6 +28,32 @@ pub enum Variant {
     NoHgcm,
 }
 
+/// How sparse depth enters a network and how dense depth leaves it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Form {
+    /// Sparse depth and its mask in, a share of the depth range out (the paper's network).
+    #[default]
+    Direct,
+    /// Depth completed by the nearest return, mask and confidence in; a factor on the nearest
+    /// return's depth out.
+    Residual,
+}
+
+impl Form {
+    /// Channels that enter the depth encoder.
+    pub fn depth_channels(self) -> usize {
+        match self {
+            Self::Direct => 2,
+            Self::Residual => 3,
+        }
+    }
+
+    fn is_direct(&self) -> bool {
+        *self == Self::Direct
+    }
+}
+
 /// One member of the family. Levels count halvings: level 0 is full size, level 4 a sixteenth.
 ///
 /// Field names are the paper's, and in JSON exactly the oracle's (`M`, `T` upper case).
@@ -84,6 +110,9 @@ pub struct Config {
     /// Which of the paper's networks.
     #[serde(default)]
     pub variant: Variant,
+    /// How depth enters and leaves; not written where it is the paper's.
+    #[serde(default, skip_serializing_if = "Form::is_direct")]
+    pub form: Form,
 }
 
 const fn default_filters() -> usize {
@@ -160,51 +189,53 @@ impl Config {
         .with_steps(8)
     }
 
-    /// A tenth of the paper's work: 2.17 M parameters.
+    /// The larger of the two small members, for two processor cores: see the family's table.
     pub fn s() -> Self {
         Self {
             name: "s".into(),
-            c: [12, 24, 48],
+            c: [16, 32, 48],
             n_sp: [1, 1, 2],
             n1: 1,
             n2: 2,
-            k: [12, 24],
+            k: [16, 32],
             n_t: 1,
             cd: 32,
-            g: [12, 24, 32, 64, 128],
-            e: [4, 8, 16, 32, 48],
-            d: [8, 16, 32, 64, 128],
+            g: [16, 32, 32, 64, 128],
+            e: [8, 16, 16, 32, 64],
+            d: [16, 32, 32, 64, 128],
             n_g: [0, 1, 1, 1, 1],
             n_e: [0, 0, 1, 1, 1],
             n_d: [0, 0, 1, 1, 1],
             n_b: 1,
-            n_u: [0, 1, 1, 1],
+            n_u: [1, 1, 1, 1],
             filters: 4,
+            form: Form::Residual,
             ..Self::tiny()
         }
         .with_steps(8)
     }
 
-    /// A fiftieth of the paper's work: 0.45 M parameters.
+    /// The smallest member that ships: see the family's table.
     pub fn xs() -> Self {
         Self {
             name: "xs".into(),
-            c: [4, 12, 24],
+            c: [8, 16, 32],
             n_sp: [0, 1, 1],
             n1: 1,
-            n2: 2,
-            k: [4, 8],
+            n2: 1,
+            k: [8, 16],
             n_t: 1,
             cd: 16,
-            g: [4, 8, 12, 24, 64],
-            e: [4, 4, 8, 16, 24],
-            d: [4, 8, 12, 24, 64],
+            g: [8, 16, 16, 32, 64],
+            e: [4, 8, 8, 16, 32],
+            d: [16, 16, 16, 32, 64],
             n_g: [0, 0, 1, 1, 1],
             n_e: [0, 0, 0, 1, 1],
             n_d: [0, 0, 0, 1, 1],
             n_b: 1,
             n_u: [0, 0, 1, 1],
             filters: 2,
+            form: Form::Residual,
             ..Self::tiny()
         }
         .with_steps(8)
@@ -235,6 +266,7 @@ impl Config {
             steps: 3,
             d_max: default_depth_max(),
             variant: Variant::Full,
+            form: Form::Direct,
         }
     }
 
@@ -259,6 +291,12 @@ impl Config {
     #[must_use]
     pub fn with_variant(self, variant: Variant) -> Self {
         Self { variant, ..self }
+    }
+
+    /// The same widths with depth entering and leaving in another form.
+    #[must_use]
+    pub fn with_form(self, form: Form) -> Self {
+        Self { form, ..self }
     }
 
     /// Reads and validates the JSON form; a missing `name` becomes `custom`.

@@ -1,7 +1,9 @@
 //! Convolution with zero padding of half the kernel.
 
-use candle_core::{Result, Tensor};
+use candle_core::{DType, Result, Tensor};
+use noctule_kernels::Activation;
 
+use crate::blocks::activate;
 use crate::conv_cpu::{Window, conv2d};
 use crate::params::{Init, Params, Role};
 
@@ -91,36 +93,57 @@ impl Conv {
 
     /// `x` `[B, I, H, W]`; returns `[B, O, H/stride, W/stride]`.
     pub(crate) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        let y = if self.kernel == 1 && self.stride == 1 {
-            self.pointwise(x)?
-        } else {
-            self.windowed(&x.contiguous()?)?
-        };
-        match &self.bias {
-            None => Ok(y),
-            Some(bias) => y.broadcast_add(&bias.reshape((1, (), 1, 1))?),
-        }
+        self.apply(&[x], None, Activation::None)
     }
 
-    /// Gradients and other devices take candle's convolution, the rest the quicker one.
-    fn windowed(&self, x: &Tensor) -> Result<Tensor> {
+    /// [`Conv::forward`] and an activation.
+    pub(crate) fn activated(&self, x: &Tensor, activation: Activation) -> Result<Tensor> {
+        self.apply(&[x], None, activation)
+    }
+
+    /// `activation(conv(cat(sources)) + residual)`; sources `[B, channels, H, W]`, whose channels
+    /// add up to I, residual and result `[B, O, H/stride, W/stride]`.
+    ///
+    /// One operation on the processor, candle's own on other devices; both have gradients.
+    pub(crate) fn apply(
+        &self,
+        sources: &[&Tensor],
+        residual: Option<&Tensor>,
+        activation: Activation,
+    ) -> Result<Tensor> {
         let Self {
             weight,
+            bias,
             kernel,
             stride,
-            ..
         } = self;
-        if x.device().is_cpu() && !x.track_op() && !weight.track_op() {
-            return conv2d(
-                x,
-                weight,
-                Window {
-                    kernel: *kernel,
-                    stride: *stride,
-                },
-            );
+        if is_plain(weight) && sources.iter().all(|x| is_plain(x)) {
+            let window = Window {
+                kernel: *kernel,
+                stride: *stride,
+                activation,
+            };
+            return conv2d(sources, weight, bias.as_ref(), residual, window);
         }
-        x.conv2d(weight, kernel / 2, *stride, 1, 1)
+        let joined;
+        let x = if let [x] = sources {
+            *x
+        } else {
+            joined = Tensor::cat(sources, 1)?;
+            &joined
+        };
+        let mut y = if *kernel == 1 && *stride == 1 {
+            self.pointwise(x)?
+        } else {
+            x.contiguous()?.conv2d(weight, kernel / 2, *stride, 1, 1)?
+        };
+        if let Some(bias) = bias {
+            y = y.broadcast_add(&bias.reshape((1, (), 1, 1))?)?;
+        }
+        if let Some(residual) = residual {
+            y = (y + residual)?;
+        }
+        activate(&y, activation)
     }
 
     /// A 1x1 convolution is a matrix product per picture.
@@ -141,7 +164,7 @@ impl Conv {
     }
 
     /// The convolution whose result is scaled and shifted per channel, each `[O]`.
-    pub(crate) fn folded(self, scale: &Tensor, shift: &Tensor) -> Result<Self> {
+    pub(crate) fn folded(&self, scale: &Tensor, shift: &Tensor) -> Result<Self> {
         let weight = self.weight.broadcast_mul(&scale.reshape(((), 1, 1, 1))?)?;
         let bias = match &self.bias {
             None => shift.clone(),
@@ -150,7 +173,12 @@ impl Conv {
         Ok(Self {
             weight,
             bias: Some(bias),
-            ..self
+            ..*self
         })
     }
+}
+
+/// Whether the operations of this crate take `tensor`.
+pub(crate) fn is_plain(tensor: &Tensor) -> bool {
+    tensor.device().is_cpu() && tensor.dtype() == DType::F32
 }

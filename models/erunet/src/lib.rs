@@ -21,6 +21,7 @@
 #![forbid(unsafe_code)]
 
 mod accounting;
+mod adam;
 mod blocks;
 mod config;
 mod conv;
@@ -33,12 +34,18 @@ mod params;
 mod parity;
 mod pass;
 mod plan;
+mod prefill;
 mod rdu;
 mod sequence;
+mod slices;
 mod weights;
+mod window;
 
 pub use accounting::{Description, ModuleCost, describe};
-pub use config::{COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, SIDE_MULTIPLE, Variant, WIDTH_MAX};
+pub use adam::{Adam, AdamError, AdamOptions, AdamState};
+pub use config::{
+    COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, Form, SIDE_MULTIPLE, Variant, WIDTH_MAX,
+};
 pub use network::{Network, NetworkError, Outputs, slots};
 pub use params::{Init, Norms, Role, Slot};
 pub use parity::{
@@ -47,5 +54,6 @@ pub use parity::{
 };
 pub use pass::{Moments, Pass};
 pub use plan::{LayerProfile, Plan, PlanError, PlanOptions};
+pub use prefill::{FALLBACK_SHARE, LOG_SPAN};
 pub use sequence::{Sequence, Step};
 pub use weights::{FILE_BYTES_MAX, Fault, Weights, WeightsError};

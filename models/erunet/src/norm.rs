@@ -1,7 +1,9 @@
 //! Batch normalisation, and its merging into the convolution before it.
 
 use candle_core::{D, Result, Tensor, bail};
+use noctule_kernels::Activation;
 
+use crate::blocks::activate;
 use crate::conv::{Conv, ConvShape};
 use crate::params::{Init, Norms, Params, Role};
 use crate::pass::{Moments, Pass};
@@ -41,17 +43,25 @@ impl BatchNorm {
         )
     }
 
-    /// Shape kept, `[B, C, H, W]`.
-    fn forward(&self, x: &Tensor, pass: &mut Pass) -> Result<Tensor> {
-        let (scale, shift) = if pass.uses_batch_statistics() {
-            let (mean, variance) = self.batch_moments(x, pass)?;
-            affine(&self.weight, &self.bias, &mean, &variance)?
-        } else {
-            self.affine()?
-        };
+    /// `activation(norm(x) + residual)` with the statistics of `x` itself, which `pass` collects;
+    /// shape kept, `[B, C, H, W]`.
+    fn forward(
+        &self,
+        x: &Tensor,
+        residual: Option<&Tensor>,
+        activation: Activation,
+        pass: &mut Pass,
+    ) -> Result<Tensor> {
+        let (mean, variance) = self.batch_moments(x, pass)?;
+        let (scale, shift) = affine(&self.weight, &self.bias, &mean, &variance)?;
         let per_channel = (1, (), 1, 1);
-        x.broadcast_mul(&scale.reshape(per_channel)?)?
-            .broadcast_add(&shift.reshape(per_channel)?)
+        let mut y = x
+            .broadcast_mul(&scale.reshape(per_channel)?)?
+            .broadcast_add(&shift.reshape(per_channel)?)?;
+        if let Some(residual) = residual {
+            y = (y + residual)?;
+        }
+        activate(&y, activation)
     }
 
     /// Mean and biased variance of `x` per channel; reports them to `pass`.
@@ -110,15 +120,29 @@ impl Normed {
         })
     }
 
-    /// `x` `[B, I, H, W]`; returns `[B, O, H/stride, W/stride]`.
-    pub(crate) fn forward(&self, x: &Tensor, pass: &mut Pass) -> Result<Tensor> {
-        let y = self.conv.forward(x)?;
+    /// `activation(norm(conv(cat(sources))) + residual)`; shapes as in [`Conv::apply`].
+    pub(crate) fn apply(
+        &self,
+        sources: &[&Tensor],
+        residual: Option<&Tensor>,
+        activation: Activation,
+        pass: &mut Pass,
+    ) -> Result<Tensor> {
         match &self.bn {
-            Some(bn) => bn.forward(&y, pass),
+            Some(bn) if pass.uses_batch_statistics() => {
+                let y = self.conv.apply(sources, None, Activation::None)?;
+                bn.forward(&y, residual, activation, pass)
+            }
+            // Running statistics make the norm part of the weights, with gradients to both.
+            Some(bn) => {
+                let (scale, shift) = bn.affine()?;
+                let conv = self.conv.folded(&scale, &shift)?;
+                conv.apply(sources, residual, activation)
+            }
             None if pass.uses_batch_statistics() => {
                 bail!("batch statistics asked of a network built with folded norms")
             }
-            None => Ok(y),
+            None => self.conv.apply(sources, residual, activation),
         }
     }
 }

@@ -4,11 +4,12 @@
 
 use std::ops::Range;
 
-use crate::activation::sigmoid;
+use crate::activation::{bounded_factor, sigmoid};
 use crate::conv::{InBlock, consecutive, in_blocks};
 use crate::element::Element;
 use crate::layout::{Frame, Place};
 use crate::memory::Memory;
+use crate::program::Emit;
 use crate::simd::{Kernel, LANES, Simd};
 
 /// Pixels summed at once.
@@ -25,8 +26,8 @@ pub(crate) struct GateOp<E: Element> {
     pub(crate) height: usize,
     /// Where `c` goes within the arena, in single-precision numbers; rows without padding.
     plane: Option<usize>,
-    /// The caller's slice that receives `c * scale`.
-    output: Option<(usize, f32)>,
+    /// The caller's slice, and what it receives.
+    output: Option<(usize, Emit)>,
     /// `(from, to)`: `to = c * from`, channel by channel.
     kept: Option<(Place, Place)>,
     format: std::marker::PhantomData<E>,
@@ -35,7 +36,7 @@ pub(crate) struct GateOp<E: Element> {
 /// What a gate does with its plane.
 pub(crate) struct GateTargets {
     pub(crate) plane: Option<usize>,
-    pub(crate) output: Option<(usize, f32)>,
+    pub(crate) output: Option<(usize, Emit)>,
     pub(crate) kept: Option<(Place, Place)>,
 }
 
@@ -152,6 +153,18 @@ impl<E: Element> Kernel for GateRows<'_, E> {
                 for x in width..width.next_multiple_of(LANES) {
                     row.add(x).write(0.0);
                 }
+                if let Some((slot, Emit::Factor { base, span })) = op.output {
+                    let base = frame.inputs[base.0].add(y * width);
+                    let to = frame.outputs[slot].add(y * width);
+                    for x in (0..width).step_by(LANES) {
+                        let factor = bounded_factor::<S>(S::load(row.add(x)), span);
+                        S::store(row.add(x), factor);
+                    }
+                    for x in 0..width {
+                        to.add(x).write(*row.add(x) * *base.add(x));
+                    }
+                    continue;
+                }
                 for x in (0..width).step_by(LANES) {
                     S::store(row.add(x), sigmoid::<S>(S::load(row.add(x))));
                 }
@@ -162,7 +175,7 @@ impl<E: Element> Kernel for GateRows<'_, E> {
                 if let Some((from, to)) = &op.kept {
                     keep::<S, E>(frame, row, from, to, y);
                 }
-                if let Some((slot, scale)) = op.output {
+                if let Some((slot, Emit::Scaled(scale))) = op.output {
                     let to = frame.outputs[slot].add(y * width);
                     for x in 0..width {
                         to.add(x).write(*row.add(x) * scale);

@@ -43,6 +43,7 @@ mod conv;
 mod element;
 mod garf;
 mod gate;
+mod grad;
 mod isa;
 mod layout;
 mod memory;
@@ -54,11 +55,12 @@ mod simd;
 
 pub use activation::Activation;
 pub use conv::Store;
+pub use grad::{AdamRates, ConvGrads, Geometry, PlaneConv, Wanted, adam_update};
 pub use isa::Isa;
 pub use layout::Size;
 pub use peak::{spin, stream};
 pub use planar::Intake;
 pub use program::{
-    BuildError, Builder, Conv, Feature, Garf, Gate, Input, OpProfile, Options, Output, Passes,
-    Plane, Precision, Program, RunError, THREADS_MAX,
+    BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, OpProfile, Options, Output,
+    Passes, Plane, Precision, Program, RunError, THREADS_MAX,
 };

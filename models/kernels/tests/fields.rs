@@ -3,7 +3,7 @@
 
 mod oracle;
 
-use noctule_kernels::{Activation, Builder, Garf, Gate, Intake, Options, Size, reference};
+use noctule_kernels::{Activation, Builder, Emit, Garf, Gate, Intake, Options, Size, reference};
 use oracle::{assert_close, every_way, noise, size, wide};
 
 #[test]
@@ -59,7 +59,7 @@ fn gate(options: Options, inputs: [usize; 2], kernel: usize, size: Size) {
         bias: 0.3,
         kernel,
         plane: Some(plane),
-        output: Some((scaled, 80.0)),
+        output: Some((scaled, Emit::Scaled(80.0))),
         kept: Some((features[0], kept)),
     });
     builder.give(kept, given);
@@ -79,6 +79,53 @@ fn gate(options: Options, inputs: [usize; 2], kernel: usize, size: Size) {
         .map(|(i, x)| x * trust[i % area])
         .collect();
     assert_close(&got, &kept, options, 1.0, "kept feature");
+}
+
+#[test]
+fn a_factor_scales_its_base_within_its_span() {
+    for options in every_way() {
+        for shape in [size(4, 9), size(3, 33), size(1, 1)] {
+            factor(options, shape);
+        }
+    }
+}
+
+fn factor(options: Options, size: Size) {
+    let area = size.area();
+    let x: Vec<f32> = noise(5 * area, 8).iter().map(|v| 4.0 * v).collect();
+    let weight = noise(5 * 9, 9);
+    let base: Vec<f32> = noise(area, 10).iter().map(|v| 20.0 + 10.0 * v).collect();
+    let mut builder = Builder::new();
+    let (input, nearest) = (builder.input(5 * area), builder.input(area));
+    let feature = builder.feature(5, size);
+    let output = builder.output(area);
+    builder.take(input, Intake::Planes, feature);
+    builder.gate(&Gate {
+        inputs: &[feature],
+        weight: &weight,
+        bias: -0.2,
+        kernel: 3,
+        plane: None,
+        output: Some((
+            output,
+            Emit::Factor {
+                base: nearest,
+                span: 3.0,
+            },
+        )),
+        kept: None,
+    });
+    let mut got = vec![f32::NAN; area];
+    let mut program = builder.finish(options).unwrap();
+    program.poison();
+    program.run(0, 0, &[&x, &base], &mut [&mut got]).unwrap();
+    let sums = reference::conv2d(&wide(&x), size, &wide(&weight), &[-0.2], 3, 1);
+    let wanted: Vec<f64> = sums
+        .iter()
+        .zip(&base)
+        .map(|(z, base)| f64::from(*base) * (3.0 * (z / 3.0).tanh()).exp())
+        .collect();
+    assert_close(&got, &wanted, options, 1.0, "factor");
 }
 
 /// Shapes of one field.

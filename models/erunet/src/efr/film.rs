@@ -1,8 +1,8 @@
 //! Conditional fusion: motion scales and shifts appearance, cell by cell (paper, eq. 2).
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
-use crate::blocks::leaky_relu;
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
@@ -27,7 +27,7 @@ impl Film {
 
     /// `motion` `[B, cd, H/4, W/4]`; returns gamma and beta, each `[B, c2, H/4, W/4]`.
     pub(super) fn forward(&self, motion: &Tensor) -> Result<(Tensor, Tensor)> {
-        let h = leaky_relu(&self.trunk.forward(motion)?)?;
+        let h = self.trunk.activated(motion, Activation::LeakyRelu)?;
         Ok((self.gamma.forward(&h)?, self.beta.forward(&h)?))
     }
 }

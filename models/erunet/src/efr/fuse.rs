@@ -1,8 +1,8 @@
 //! Recursion: the feature restored at the last step corrects the still one (paper, eq. 4).
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
-use crate::blocks::leaky_relu;
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
@@ -24,7 +24,8 @@ impl Fuse {
 
     /// Both inputs and the result `[B, c0, H, W]`.
     pub(super) fn forward(&self, still: &Tensor, previous: &Tensor) -> Result<Tensor> {
-        let h = leaky_relu(&self.conv1.forward(&Tensor::cat(&[still, previous], 1)?)?)?;
-        still + self.conv2.forward(&h)?
+        let joined = [still, previous];
+        let h = self.conv1.apply(&joined, None, Activation::LeakyRelu)?;
+        self.conv2.apply(&[&h], Some(still), Activation::None)
     }
 }

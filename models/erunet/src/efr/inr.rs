@@ -1,8 +1,9 @@
 //! Psi_inr: the encoder and decoder around the fusion (paper, eq. 1 and 3).
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
-use crate::blocks::{ResEs, Up, leaky_relu};
+use crate::blocks::{ResEs, Up};
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
@@ -22,7 +23,8 @@ impl Encoder {
     }
 
     fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        self.rb.forward(leaky_relu(&self.down.forward(x)?)?)
+        self.rb
+            .forward(self.down.activated(x, Activation::LeakyRelu)?)
     }
 }
 
@@ -79,9 +81,10 @@ impl Inr {
     /// `moved` `[B, c2, H/4, W/4]`, `e1` `[B, c1, H/2, W/2]`; returns `F_clear` `[B, c0, H, W]`.
     pub(super) fn decode(&self, moved: &Tensor, e1: &Tensor) -> Result<Tensor> {
         let Self { dec1, dec2, .. } = self;
-        let d1 = leaky_relu(&dec1.up.forward(&dec1.rb.forward(moved.clone())?)?)?; // [B, c1, H/2, W/2]
-        let x = leaky_relu(&dec2.merge.forward(&Tensor::cat(&[&d1, e1], 1)?)?)?;
-        let x = leaky_relu(&dec2.up.forward(&dec2.rb.forward(x)?)?)?; // [B, c0, H, W]
+        let leaky = Activation::LeakyRelu;
+        let d1 = dec1.up.activated(&dec1.rb.forward(moved.clone())?, leaky)?; // [B, c1, H/2, W/2]
+        let x = dec2.merge.apply(&[&d1, e1], None, leaky)?;
+        let x = dec2.up.activated(&dec2.rb.forward(x)?, leaky)?; // [B, c0, H, W]
         dec2.out.forward(&x)
     }
 }

@@ -10,6 +10,7 @@ mod temporal;
 
 use candle_core::{Result, Tensor};
 
+use crate::blocks::modulate;
 use crate::config::Config;
 use crate::params::Params;
 use crate::pass::Pass;
@@ -69,7 +70,7 @@ impl Efr {
         let (e1, e2) = self.inr.encode(&entering)?; // [B, c1, H/2, W/2], [B, c2, H/4, W/4]
         let motion = self.temporal.forward(voxel, t)?; // [B, cd, H/4, W/4]
         let (gamma, beta) = self.film.forward(&motion)?; // [B, c2, H/4, W/4]
-        let moved = ((&gamma * &e2)? + &beta)?; // eq. 2
+        let moved = modulate(&gamma, &e2, &beta)?; // eq. 2
         let clear = self.inr.decode(&moved, &e1)?; // eq. 1, 3
         for (name, feature) in [
             ("F_dyn", &motion),

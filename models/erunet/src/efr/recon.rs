@@ -1,8 +1,8 @@
 //! Reconstruction head: the sharp picture a restored feature stands for, needed by stage 1 alone.
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
-use crate::blocks::leaky_relu;
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
@@ -25,8 +25,7 @@ impl Recon {
 
     /// `clear` `[B, c0, H, W]`, `blur` `[B, 3, H, W]`; returns `I_recon` `[B, 3, H, W]`.
     pub(super) fn forward(&self, clear: &Tensor, blur: &Tensor) -> Result<Tensor> {
-        blur + self
-            .conv2
-            .forward(&leaky_relu(&self.conv1.forward(clear)?)?)?
+        let h = self.conv1.activated(clear, Activation::LeakyRelu)?;
+        self.conv2.apply(&[&h], Some(blur), Activation::None)
     }
 }

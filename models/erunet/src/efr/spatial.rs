@@ -1,8 +1,9 @@
 //! Spatial encoder: what the blurred picture shows, before any motion is known.
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
-use crate::blocks::{ResEs, leaky_relu, nearest_2x};
+use crate::blocks::{ResEs, add_nearest_2x};
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
@@ -40,11 +41,12 @@ impl Spatial {
 
     /// `blur` `[B, 3, H, W]`; returns `F_static` `[B, c0, H, W]`.
     pub(super) fn forward(&self, blur: &Tensor) -> Result<Tensor> {
-        let p0 = self.rb0.forward(leaky_relu(&self.stem.forward(blur)?)?)?; // [B, c0, H, W]
-        let p1 = self.rb1.forward(leaky_relu(&self.down1.forward(&p0)?)?)?; // [B, c1, H/2, W/2]
-        let p2 = self.rb2.forward(leaky_relu(&self.down2.forward(&p1)?)?)?; // [B, c2, H/4, W/4]
-        let m1 = (p1 + nearest_2x(&self.lat2.forward(&p2)?)?)?;
-        let m0 = (p0 + nearest_2x(&self.lat1.forward(&m1)?)?)?;
+        let leaky = Activation::LeakyRelu;
+        let p0 = self.rb0.forward(self.stem.activated(blur, leaky)?)?; // [B, c0, H, W]
+        let p1 = self.rb1.forward(self.down1.activated(&p0, leaky)?)?; // [B, c1, H/2, W/2]
+        let p2 = self.rb2.forward(self.down2.activated(&p1, leaky)?)?; // [B, c2, H/4, W/4]
+        let m1 = add_nearest_2x(&p1, &self.lat2.forward(&p2)?)?;
+        let m0 = add_nearest_2x(&p0, &self.lat1.forward(&m1)?)?;
         self.out.forward(&m0)
     }
 }

@@ -3,8 +3,9 @@
 use std::f32::consts::PI;
 
 use candle_core::{DType, Device, Result, Tensor};
+use noctule_kernels::Activation;
 
-use crate::blocks::{ResEs, leaky_relu};
+use crate::blocks::ResEs;
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
@@ -40,16 +41,17 @@ impl Temporal {
 
     /// `voxel` `[B, bins, H, W]` of step `t` (from 0); returns `F_dyn,t` `[B, cd, H/4, W/4]`.
     pub(super) fn forward(&self, voxel: &Tensor, t: usize) -> Result<Tensor> {
-        let x = leaky_relu(&self.conv1.forward(voxel)?)?; // [B, k1, H/2, W/2]
-        let x = self.rb.forward(leaky_relu(&self.conv2.forward(&x)?)?)?; // [B, k2, H/4, W/4]
+        let leaky = Activation::LeakyRelu;
+        let x = self.conv1.activated(voxel, leaky)?; // [B, k1, H/2, W/2]
+        let x = self.rb.forward(self.conv2.activated(&x, leaky)?)?; // [B, k2, H/4, W/4]
         let (b, _, h, w) = x.dims4()?;
         let place = coordinates(h, w, centre(t, self.steps), self.freqs, x.device())?;
         let place = place
             .broadcast_as((b, 6 * self.freqs, h, w))?
             .contiguous()?;
-        let x = Tensor::cat(&[&x, &place.to_dtype(x.dtype())?], 1)?;
-        let x = leaky_relu(&self.mlp1.forward(&x)?)?;
-        let x = leaky_relu(&self.mlp2.forward(&x)?)?;
+        let joined = [&x, &place.to_dtype(x.dtype())?];
+        let x = self.mlp1.apply(&joined, None, leaky)?;
+        let x = self.mlp2.activated(&x, leaky)?;
         self.mlp3.forward(&x)
     }
 }

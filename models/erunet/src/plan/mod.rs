@@ -12,7 +12,8 @@ mod rdu;
 use noctule_kernels::{BuildError, Builder, Isa, Options, Passes, Precision, Program, RunError};
 use thiserror::Error;
 
-use crate::config::{Config, ConfigError, SIDE_MULTIPLE};
+use crate::config::{Config, ConfigError, Form, SIDE_MULTIPLE};
+use crate::prefill::Prefill;
 use crate::weights::{Weights, WeightsError};
 use draft::Draft;
 
@@ -31,6 +32,7 @@ const LATER: usize = 3;
 const BLUR: usize = 0;
 const VOXEL: usize = 1;
 const SPARSE: usize = 2;
+const NEAREST: usize = 3;
 
 /// Why a plan could not be made or run.
 #[derive(Debug, Error)]
@@ -52,7 +54,7 @@ pub enum PlanError {
     /// The kernels cannot be built: too many threads, or instructions the processor lacks.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// A slice has the wrong length. Inputs count as blur, voxel, sparse; outputs as depth,
+    /// A slice has the wrong length. Inputs count as blur, voxel, sparse, nearest; outputs as depth,
     /// confidence.
     #[error(transparent)]
     Run(#[from] RunError),
@@ -109,6 +111,29 @@ pub struct Plan {
     /// What SETUP takes: the share of the coordinates in the motion feature, empty where the
     /// network restores nothing.
     place: Vec<f32>,
+    /// Present where depth leaves as a factor on the nearest return.
+    filled: Option<Filled>,
+}
+
+/// What the residual form adds to a step's inputs.
+struct Filled {
+    prefill: Prefill,
+    nearest: Vec<f32>,
+    seen: Vec<f32>,
+}
+
+impl Filled {
+    #[allow(
+        clippy::cast_possible_truncation,
+        reason = "metres in single precision"
+    )]
+    fn new(config: &Config, height: usize, width: usize) -> candle_core::Result<Self> {
+        Ok(Self {
+            prefill: Prefill::new(height, width, config.d_max as f32)?,
+            nearest: vec![0.0; height * width],
+            seen: vec![0.0; 3 * height * width],
+        })
+    }
 }
 
 impl Plan {
@@ -147,6 +172,9 @@ impl Plan {
             steps: config.steps,
             done: None,
             place,
+            filled: (config.form == Form::Residual)
+                .then(|| Filled::new(config, height, width))
+                .transpose()?,
         };
         plan.set_up()?;
         Ok(plan)
@@ -155,13 +183,13 @@ impl Plan {
     fn set_up(&mut self) -> Result<(), PlanError> {
         Ok(self
             .program
-            .run(SETUP, 0, &[&[], &[], &[], &self.place], &mut [])?)
+            .run(SETUP, 0, &[&[], &[], &[], &[], &self.place], &mut [])?)
     }
 
     /// Starts an exposure: `blur` `[3, H, W]`, encoded values over 255; for a network without
     /// restoration, the deblurred picture. Drops the exposure before it, finished or not.
     pub fn begin(&mut self, blur: &[f32]) -> Result<(), PlanError> {
-        let mut slices: [&[f32]; 3] = [&[]; 3];
+        let mut slices: [&[f32]; 4] = [&[]; 4];
         slices[BLUR] = blur;
         self.program.run(BEGIN, 0, &slices, &mut [])?;
         self.done = Some(0);
@@ -185,9 +213,18 @@ impl Plan {
         }
         let pass = if done == 0 { FIRST } else { LATER };
         let variant = if self.place.is_empty() { 0 } else { done };
-        let mut slices: [&[f32]; 3] = [&[]; 3];
+        let mut slices: [&[f32]; 4] = [&[]; 4];
         slices[VOXEL] = voxel;
         slices[SPARSE] = sparse;
+        if let Some(filled) = &mut self.filled {
+            let Filled {
+                prefill,
+                nearest,
+                seen,
+            } = filled;
+            prefill.fill(sparse, nearest, seen)?;
+            (slices[SPARSE], slices[NEAREST]) = (&*seen, &*nearest);
+        }
         self.program
             .run(pass, variant, &slices, &mut [depth, confidence])?;
         self.done = Some(done + 1);
@@ -224,7 +261,11 @@ fn builder_with_slices(config: &Config, area: usize) -> (Builder, Slices) {
     let slices = Slices {
         blur: builder.input(3 * area),
         voxel: builder.input(config.bins * area),
-        sparse: builder.input(area),
+        sparse: builder.input(match config.form {
+            Form::Direct => area,
+            Form::Residual => 3 * area,
+        }),
+        nearest: builder.input(area),
         depth: builder.output(area),
         confidence: builder.output(area),
     };
@@ -236,7 +277,9 @@ fn builder_with_slices(config: &Config, area: usize) -> (Builder, Slices) {
 struct Slices {
     blur: noctule_kernels::Input,
     voxel: noctule_kernels::Input,
+    /// As the depth encoder sees it: metres, or the three planes of the residual form.
     sparse: noctule_kernels::Input,
+    nearest: noctule_kernels::Input,
     depth: noctule_kernels::Output,
     confidence: noctule_kernels::Output,
 }

@@ -2,7 +2,7 @@
 
 use noctule_kernels::OpProfile;
 
-use super::{BEGIN, BLUR, FIRST, LATER, Plan, PlanError, SPARSE, VOXEL};
+use super::{BEGIN, BLUR, FIRST, LATER, NEAREST, Plan, PlanError, SPARSE, VOXEL};
 
 /// One layer of the network: what it costs, and how often an exposure asks for it.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,10 +26,14 @@ impl Plan {
             .map(|i| if i % 31 == 0 { 20.0 } else { 0.0 })
             .collect();
         let (mut depth, mut trust) = (vec![0.0; self.area], vec![0.0; self.area]);
-        let mut slices: [&[f32]; 3] = [&[]; 3];
+        let (seen, nearest) = (vec![0.25; 3 * self.area], vec![20.0; self.area]);
+        let mut slices: [&[f32]; 4] = [&[]; 4];
         slices[BLUR] = &blur;
         slices[VOXEL] = &voxel;
         slices[SPARSE] = &sparse;
+        if self.filled.is_some() {
+            (slices[SPARSE], slices[NEAREST]) = (&seen, &nearest);
+        }
         let mut layers = Vec::new();
         for _ in 0..repeats.max(1) {
             let passes = [(BEGIN, 0..1), (FIRST, 0..1), (LATER, 1..self.steps)];

@@ -1,10 +1,12 @@
 //! The completion network as a plan (paper, equations 5 to 7).
 
 use candle_core::Result;
-use noctule_kernels::{Activation, Garf, Gate, Intake};
+use noctule_kernels::{Activation, Emit, Garf, Gate, Intake};
 
 use super::any_step;
 use super::draft::{Draft, Map, Then};
+use crate::config::Form;
+use crate::prefill::LOG_SPAN;
 use crate::rdu::bank_size;
 
 /// The features of one level beside the depth feature: guidance, and events where there are any.
@@ -22,11 +24,19 @@ impl Draft<'_> {
         let range_m = self.config.d_max as f32;
         let guidance = self.guidance(clear)?;
         let seen = Map {
-            feature: self.builder.feature(2, self.size),
+            feature: self
+                .builder
+                .feature(self.config.form.depth_channels(), self.size),
             size: self.size,
         };
         let from = self.slices.sparse;
-        let intake = Intake::SparseDepth { range_m };
+        let (intake, emit) = match self.config.form {
+            Form::Direct => (Intake::SparseDepth { range_m }, Emit::Scaled(range_m)),
+            Form::Residual => {
+                let (base, span) = (self.slices.nearest, LOG_SPAN);
+                (Intake::Planes, Emit::Factor { base, span })
+            }
+        };
         self.builder.set_label("sparse");
         self.builder.take(from, intake, seen.feature);
         let stem = Then::new(Activation::Relu);
@@ -48,7 +58,7 @@ impl Draft<'_> {
             bias: head.bias[0],
             kernel: head.kernel,
             plane: None,
-            output: Some((self.slices.depth, range_m)),
+            output: Some((self.slices.depth, emit)),
             kept: None,
         });
         Ok(())
@@ -111,7 +121,7 @@ impl Draft<'_> {
             bias: conf.bias[0],
             kernel: conf.kernel,
             plane: Some(trust),
-            output: (level == 0).then_some((self.slices.confidence, 1.0)),
+            output: (level == 0).then_some((self.slices.confidence, Emit::Scaled(1.0))),
             kept: Some((depth.feature, kept.feature)),
         }); // eq. 5
         let tanh = Then::new(Activation::Tanh);

@@ -2,9 +2,10 @@
 //! (paper, eq. 5 to 7).
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
 use super::garf::Garf;
-use crate::blocks::{ConvBn, ResDs, Up, sigmoid};
+use crate::blocks::{ConvBn, ResDs, Up, replace_doubted, trust};
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
@@ -65,14 +66,14 @@ impl DecStage {
         guidance: &Tensor,
         pass: &mut Pass,
     ) -> Result<Gated> {
-        let merged = Tensor::cat(&[&self.up.forward(x)?, skip], 1)?; // [N, 2d, h, w]
-        let depth = self.rb.forward(self.merge.forward(&merged, pass)?, pass)?;
-        let asked = Tensor::cat(&[&depth, guidance], 1)?;
-        let confidence = sigmoid(&self.conf.forward(&asked)?)?; // eq. 5
-        let kept = depth.broadcast_mul(&confidence)?;
+        let merged = [&self.up.forward(x)?, skip]; // [N, 2d, h, w]
+        let depth = self.merge.forward_joined(&merged, pass)?;
+        let depth = self.rb.forward(depth, pass)?;
+        let asked = [&depth, guidance];
+        let confidence = self.conf.apply(&asked, None, Activation::Sigmoid)?; // eq. 5
+        let kept = trust(&depth, &confidence)?;
         let refined = self.garf.forward(&kept, guidance)?; // eq. 6
-        let doubt = confidence.affine(-1.0, 1.0)?;
-        let out = (kept + refined.broadcast_mul(&doubt)?)?; // eq. 7
+        let out = replace_doubted(&kept, &refined, &confidence)?; // eq. 7
         Ok(Gated {
             depth,
             confidence,

@@ -5,6 +5,7 @@
 //! planes per channel that filtering with every atom would.
 
 use candle_core::{Device, Result, Tensor};
+use noctule_kernels::Activation;
 
 use super::atoms::bank_size;
 use super::garf_cpu::FilterCpu;
@@ -46,11 +47,9 @@ impl Garf {
 
     /// `x` `[N, d, h, w]`, `guidance` `[N, g + e, h, w]`; returns `F_ref` `[N, d, h, w]`.
     pub(super) fn forward(&self, x: &Tensor, guidance: &Tensor) -> Result<Tensor> {
-        let hidden = self
-            .coef1
-            .forward(&Tensor::cat(&[x, guidance], 1)?)?
-            .tanh()?;
-        let coefficients = self.coef2.forward(&hidden)?.tanh()?; // [N, M*K, h, w]
+        let tanh = Activation::Tanh;
+        let hidden = self.coef1.apply(&[x, guidance], None, tanh)?;
+        let coefficients = self.coef2.activated(&hidden, tanh)?; // [N, M*K, h, w]
         let kernels = self.kernels(&coefficients)?; // [N, M, J, h, w]
         let differentiable = x.track_op() || kernels.track_op();
         let filtered = if x.device().is_cpu() && !differentiable {

@@ -1,4 +1,4 @@
-//! Depth head: the last depth feature to a bounded depth.
+//! Depth head: the last depth feature to a share of the range, or to a factor on the nearest return.
 
 use candle_core::{Result, Tensor};
 
@@ -6,8 +6,9 @@ use crate::blocks::{relu, sigmoid};
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
+use crate::prefill::LOG_SPAN;
 
-/// Two convolutions and a logistic function, so that no depth is ever negative or infinite.
+/// Two convolutions and a bounded function, so that no depth is ever negative or infinite.
 pub(super) struct Head {
     head1: Conv,
     head2: Conv,
@@ -24,7 +25,17 @@ impl Head {
     }
 
     /// `x` `[N, d0, H, W]`; returns the share of the depth range, `[N, 1, H, W]`, 0 to 1.
-    pub(super) fn forward(&self, x: &Tensor) -> Result<Tensor> {
-        sigmoid(&self.head2.forward(&relu(&self.head1.forward(x)?)?)?)
+    pub(super) fn share(&self, x: &Tensor) -> Result<Tensor> {
+        sigmoid(&self.logit(x)?)
+    }
+
+    /// `x` `[N, d0, H, W]`; returns a factor, `[N, 1, H, W]`, between e^-3 and e^3.
+    pub(super) fn factor(&self, x: &Tensor) -> Result<Tensor> {
+        let span = f64::from(LOG_SPAN);
+        ((self.logit(x)? / span)?.tanh()? * span)?.exp()
+    }
+
+    fn logit(&self, x: &Tensor) -> Result<Tensor> {
+        self.head2.forward(&relu(&self.head1.forward(x)?)?)
     }
 }

@@ -10,15 +10,16 @@ mod garf_cpu;
 mod head;
 mod pyramid;
 
-use candle_core::{Result, Tensor};
+use candle_core::{Device, Result, Tensor};
 
 pub(crate) use atoms::{bank, bank_size};
 
 use crate::blocks::{ConvBn, ResDs, leaky_relu};
-use crate::config::Config;
+use crate::config::{Config, Form};
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 use crate::pass::Pass;
+use crate::prefill::prefill;
 use decoder::DecStage;
 use head::Head;
 use pyramid::Pyramid;
@@ -35,6 +36,7 @@ pub(crate) struct Rdu {
     head: Head,
     rgb_stem: Option<Conv>,
     d_max: f64,
+    form: Form,
 }
 
 impl Rdu {
@@ -47,18 +49,20 @@ impl Rdu {
         let rgb_stem = (!config.has_efr())
             .then(|| Conv::new(&params.at("rgb_stem"), ConvShape::k3(3, c0)))
             .transpose()?;
+        let seen = config.form.depth_channels();
         let joined = d4 + config.guidance_width(4);
         let stage = |l: usize| DecStage::new(&params.at(&format!("dec{l}")), config, l);
         Ok(Self {
             guide: Pyramid::new(&params.at("guide"), c0, &config.g, &config.n_g)?,
             event,
-            depth: Pyramid::with_plain_stem(&params.at("depth"), 2, &config.d, &config.n_d)?,
+            depth: Pyramid::with_plain_stem(&params.at("depth"), seen, &config.d, &config.n_d)?,
             bott: ConvBn::new(&params.at("bott"), ConvShape::k1(joined, d4))?,
             bott_rb: ResDs::with_gain(&params.at("bott_rb"), d4, config.n_b, 1.0)?,
             dec: [stage(0)?, stage(1)?, stage(2)?, stage(3)?],
             head: Head::new(params, config)?,
             rgb_stem,
             d_max: config.d_max,
+            form: config.form,
         })
     }
 
@@ -80,8 +84,7 @@ impl Rdu {
         pass: &mut Pass,
     ) -> Result<(Tensor, Tensor)> {
         let guidance = self.guidance(clear, voxel, pass)?;
-        let returned = sparse.gt(0f32)?.to_dtype(sparse.dtype())?;
-        let seen = Tensor::cat(&[&(sparse / self.d_max)?, &returned], 1)?; // [N, 2, H, W]
+        let (seen, nearest) = self.seen(sparse, clear.device())?;
         let depth = self.depth.forward(&seen, pass)?;
         let joined = Tensor::cat(&[&depth[4], &guidance[4]], 1)?;
         let mut x = self
@@ -96,7 +99,31 @@ impl Rdu {
             confidence = Some(gated.confidence);
         }
         let confidence = confidence.expect("the loop above runs four times");
-        Ok(((self.head.forward(&x)? * self.d_max)?, confidence))
+        let depth = match nearest {
+            None => (self.head.share(&x)? * self.d_max)?,
+            Some(nearest) => (self.head.factor(&x)? * nearest)?,
+        };
+        Ok((depth, confidence))
+    }
+
+    /// What the depth encoder sees, `[N, 2 or 3, H, W]`, and what the output is a factor on.
+    // A depth range in double precision would not outlive its first rounding.
+    #[allow(
+        clippy::cast_possible_truncation,
+        reason = "metres in single precision"
+    )]
+    fn seen(&self, sparse: &Tensor, device: &Device) -> Result<(Tensor, Option<Tensor>)> {
+        match self.form {
+            Form::Direct => {
+                let returned = sparse.gt(0f32)?.to_dtype(sparse.dtype())?;
+                let seen = Tensor::cat(&[&(sparse / self.d_max)?, &returned], 1)?;
+                Ok((seen.to_device(device)?, None))
+            }
+            Form::Residual => {
+                let (seen, nearest) = prefill(sparse, self.d_max as f32, device)?;
+                Ok((seen, Some(nearest)))
+            }
+        }
     }
 
     /// Hierarchical guidance HG per level, `[N, g + e, H/2^l, W/2^l]`.

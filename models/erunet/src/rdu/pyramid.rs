@@ -1,8 +1,9 @@
 //! A feature pyramid of five levels, each half the size of the one above.
 
 use candle_core::{Result, Tensor};
+use noctule_kernels::Activation;
 
-use crate::blocks::{ConvBn, ResDs, relu};
+use crate::blocks::{ConvBn, ResDs};
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 use crate::pass::Pass;
@@ -65,7 +66,7 @@ impl Pyramid {
     pub(super) fn forward(&self, x: &Tensor, pass: &mut Pass) -> Result<Vec<Tensor>> {
         let stem = match &self.stem {
             Stem::Normed(conv) => conv.forward(x, pass)?,
-            Stem::Plain(conv) => relu(&conv.forward(x)?)?,
+            Stem::Plain(conv) => conv.activated(x, Activation::Relu)?,
         };
         let mut levels = vec![self.rb[0].forward(stem, pass)?];
         for (down, rb) in self.down.iter().zip(&self.rb[1..]) {

@@ -1,8 +1,8 @@
 //! Collects the operations of a program and checks that each fits what it works on.
 
 use super::spec::{
-    Buffer, BuildError, Conv, Feature, Garf, Gate, Input, Options, Output, Passes, Plane, Spec,
-    THREADS_MAX,
+    Buffer, BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
+    Spec, THREADS_MAX,
 };
 use super::{Needs, Program, lower};
 use crate::conv::Store;
@@ -188,9 +188,14 @@ impl Builder {
         if let Some(plane) = gate.plane {
             self.require_same("plane", self.planes[plane.0], size);
         }
-        if let Some((output, _)) = gate.output {
+        if let Some((output, emit)) = gate.output {
             let len = self.outputs[output.0];
             self.require_count("length of the output", len, size.area());
+            if let Emit::Factor { base, .. } = emit {
+                self.require_count("length of the base", self.inputs[base.0], size.area());
+                let beside = usize::from(gate.plane.is_some()) + usize::from(gate.kept.is_some());
+                self.require_count("planes and features beside a factor", beside, 0);
+            }
         }
         if let Some((from, to)) = gate.kept {
             let (from, to) = (self.features[from.0], self.features[to.0]);
@@ -274,9 +279,14 @@ impl Builder {
                     }
                     Spec::Give { to, .. } => needs.outputs.push((to.0, self.outputs[to.0])),
                     Spec::Gate {
-                        output: Some((to, _)),
+                        output: Some((to, emit)),
                         ..
-                    } => needs.outputs.push((to.0, self.outputs[to.0])),
+                    } => {
+                        needs.outputs.push((to.0, self.outputs[to.0]));
+                        if let Emit::Factor { base, .. } = emit {
+                            needs.inputs.push((base.0, self.inputs[base.0]));
+                        }
+                    }
                     Spec::Conv { .. } | Spec::Gate { .. } | Spec::Garf { .. } => {}
                 }
             }

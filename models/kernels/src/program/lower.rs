@@ -386,7 +386,7 @@ fn operation<S: Simd, E: Element>(spec: &Spec, places: &Places) -> Operation<E> 
         } => {
             let targets = GateTargets {
                 plane: plane.map(|plane| places.planes[plane.0]),
-                output: output.map(|(output, scale)| (output.0, scale)),
+                output: output.map(|(output, emit)| (output.0, emit)),
                 kept: kept.map(|(a, b)| (places.features[a.0], places.features[b.0])),
             };
             let inputs = places.all(inputs);

@@ -12,7 +12,7 @@ use thiserror::Error;
 pub use builder::Builder;
 pub use profile::OpProfile;
 pub use spec::{
-    BuildError, Conv, Feature, Garf, Gate, Input, Options, Output, Passes, Plane, Precision,
+    BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane, Precision,
     THREADS_MAX,
 };
 

@@ -104,6 +104,21 @@ pub struct Conv<'a> {
     pub output: Feature,
 }
 
+/// What a gate writes to the caller.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Emit {
+    /// `c` times this.
+    Scaled(f32),
+    /// `base * exp(span * tanh(z / span))` of the gate's sum `z`, base and target being slices of
+    /// the caller; such a gate has neither plane nor kept feature. The span is above 0, at most 4.
+    Factor {
+        /// What the factor applies to.
+        base: Input,
+        /// Largest logarithm of the factor.
+        span: f32,
+    },
+}
+
 /// `c = sigmoid(convolution(inputs))`, one channel.
 #[derive(Debug, Clone)]
 pub struct Gate<'a> {
@@ -117,8 +132,8 @@ pub struct Gate<'a> {
     pub kernel: usize,
     /// Receives `c`.
     pub plane: Option<Plane>,
-    /// Receives `c` times a scale.
-    pub output: Option<(Output, f32)>,
+    /// Receives what [`Emit`] says.
+    pub output: Option<(Output, Emit)>,
     /// `(from, to)`: `to = c * from`.
     pub kept: Option<(Feature, Feature)>,
 }
@@ -250,7 +265,7 @@ pub(crate) enum Spec {
         bias: f32,
         kernel: usize,
         plane: Option<Plane>,
-        output: Option<(Output, f32)>,
+        output: Option<(Output, Emit)>,
         kept: Option<(Feature, Feature)>,
     },
     Garf {

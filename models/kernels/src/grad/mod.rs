@@ -1,0 +1,13 @@
+//! What training needs on plain planes, batch by channel by row by column: layers forward and
+//! backward, and the optimiser's step.
+
+mod adam;
+mod conv;
+mod geometry;
+mod rows;
+mod sums;
+mod work;
+
+pub use adam::{AdamRates, adam_update};
+pub use conv::{ConvGrads, PlaneConv, Wanted};
+pub use geometry::Geometry;

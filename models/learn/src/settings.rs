@@ -1,0 +1,496 @@
+//! What a training run is told: a TOML file, checked as a whole before anything starts.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use noctule_erunet::{Config, ConfigError, SIDE_MULTIPLE, Variant};
+use noctule_world::{STEPS, Tier};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::cache::Nights;
+
+/// First seed that training must never see: validation starts here.
+pub const VALIDATION_SEEDS: u64 = 100_000;
+/// First seed that nothing is tuned on: tests start here.
+pub const TEST_SEEDS: u64 = 200_000;
+
+/// A training run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// Member of the family: `xs`, `s`, `full` or `tiny`.
+    pub member: String,
+    /// Which of the paper's networks (its table 3).
+    #[serde(default)]
+    pub variant: Variant,
+    /// Starts the weights, the order of the examples and their augmentation.
+    pub seed: u32,
+    /// Processor threads of the tensor library.
+    #[serde(default = "one")]
+    pub threads: usize,
+    /// Weights file to start from instead of random numbers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub init: Option<PathBuf>,
+    /// Share of the old average kept at each step by the averaged weights; 0 turns averaging off.
+    #[serde(default = "default_average")]
+    pub average: f64,
+    /// What is trained on.
+    pub data: Data,
+    /// How examples are varied.
+    #[serde(default)]
+    pub augment: Augment,
+    /// What is minimised.
+    #[serde(default)]
+    pub loss: Loss,
+    /// What is done, in order.
+    pub stages: Vec<Stage>,
+}
+
+/// Where examples come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Data {
+    /// Folder for rendered examples; relative to the working directory.
+    pub cache: PathBuf,
+    /// Width and height of a rendered example, pixels.
+    #[serde(default = "default_size")]
+    pub size: usize,
+    /// Threads that prepare batches ahead of the trainer.
+    #[serde(default = "one")]
+    pub loaders: usize,
+    /// Drives to train on, seeds below [`VALIDATION_SEEDS`].
+    pub train: Vec<Drives>,
+    /// Drives to validate on, seeds from [`VALIDATION_SEEDS`] to below [`TEST_SEEDS`].
+    pub validation: Vec<Drives>,
+}
+
+/// Some drives of one tier.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drives {
+    /// `A`, `B`, `C` or `S`.
+    pub tier: String,
+    /// First seed, and one past the last.
+    pub seeds: [u64; 2],
+}
+
+/// Random changes to training examples; each is drawn anew for every example.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Augment {
+    /// Probability of exchanging left and right.
+    pub flip: f64,
+    /// Largest share of events lost.
+    pub event_drop_max: f64,
+    /// Largest number of made-up events per pixel and exposure.
+    pub event_noise_max: f64,
+    /// Largest share of LiDAR returns lost.
+    pub return_drop_max: f64,
+    /// Smallest and largest factor on the picture's light.
+    pub gain: [f64; 2],
+}
+
+impl Default for Augment {
+    /// Changes nothing.
+    fn default() -> Self {
+        Self {
+            flip: 0.0,
+            event_drop_max: 0.0,
+            event_noise_max: 0.0,
+            return_drop_max: 0.0,
+            gain: [1.0, 1.0],
+        }
+    }
+}
+
+/// Which numbers of a picture are averaged when it is blurred again (paper, eq. 9).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Domain {
+    /// Light: decode gamma 2.2, average, encode.
+    #[default]
+    Linear,
+    /// The encoded values themselves.
+    Encoded,
+}
+
+/// Weights of the losses (paper, eq. 8 to 12) and the constants in them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Loss {
+    /// Charbonnier (eq. 8).
+    pub charbonnier: f64,
+    /// 1 - SSIM (eq. 8).
+    pub ssim: f64,
+    /// Laplacian edges (eq. 8).
+    pub edge: f64,
+    /// Blurring the restored pictures again (eq. 9, 11).
+    pub reblur: f64,
+    /// Gradients against those that events imply (eq. 10, 11).
+    pub gradient: f64,
+    /// Depth at and around the returns (eq. 12).
+    pub sparse: f64,
+    /// What is averaged in eq. 9.
+    pub reblur_domain: Domain,
+    /// Contrast threshold of the event camera, natural logarithm (eq. 10).
+    pub contrast: f64,
+    /// Extra weight of `|ln D - ln D_gt|`, per unit; not in the paper, 0 there.
+    pub log_depth: f64,
+    /// Extra weight of eq. 13 in the 5 px band around depth edges; not in the paper, 0 there.
+    pub depth_edges: f64,
+}
+
+impl Default for Loss {
+    /// The paper's.
+    fn default() -> Self {
+        Self {
+            charbonnier: 1.0,
+            ssim: 0.05,
+            edge: 0.05,
+            reblur: 0.2,
+            gradient: 0.05,
+            sparse: 0.5,
+            reblur_domain: Domain::Linear,
+            contrast: 0.25,
+            log_depth: 0.0,
+            depth_edges: 0.0,
+        }
+    }
+}
+
+/// Which part of the network a stage trains, and on what loss (paper, training).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Kind {
+    /// Restoration on sharp pictures, eq. 11.
+    #[serde(rename = "1")]
+    Restore,
+    /// Completion on depth, eq. 12, restoration frozen.
+    #[serde(rename = "2")]
+    Complete,
+    /// Both on depth, running statistics fixed.
+    #[serde(rename = "3")]
+    Together,
+    /// Both on depth from the start, batch statistics: what the paper advises against.
+    #[serde(rename = "joint")]
+    Joint,
+}
+
+impl Kind {
+    /// Whether the tensor `name` of a weights file trains.
+    pub fn trains(self, name: &str) -> bool {
+        match self {
+            Self::Restore => name.starts_with("efr."),
+            Self::Complete => name.starts_with("rdu."),
+            Self::Together | Self::Joint => !name.starts_with("efr.recon."),
+        }
+    }
+
+    /// Whether batch normalisation uses the batch's own statistics.
+    pub fn uses_batch_statistics(self) -> bool {
+        matches!(self, Self::Complete | Self::Joint)
+    }
+
+    /// As in the settings file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Restore => "1",
+            Self::Complete => "2",
+            Self::Together => "3",
+            Self::Joint => "joint",
+        }
+    }
+}
+
+/// One stage of training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stage {
+    /// What trains.
+    pub kind: Kind,
+    /// Changes of the weights.
+    pub steps: u64,
+    /// Exposures per change.
+    pub batch: usize,
+    /// Width and height of the cut-out an exposure is trained on, pixels.
+    pub crop: usize,
+    /// Consecutive steps of the exposure that are trained on at once.
+    pub window: usize,
+    /// Rate of learning at the start and, after half a cosine, at the end.
+    pub rate: [f64; 2],
+    /// Steps over which the rate rises to its start.
+    #[serde(default)]
+    pub warm_up: u64,
+    /// Norm that gradients are cut to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clip_norm: Option<f64>,
+    /// Steps between validations.
+    pub validate_every: u64,
+    /// Steps between checkpoints.
+    pub checkpoint_every: u64,
+    /// Stage 1 alone: passed when the loss is below this share of the loss of `I_recon = I_blur`.
+    #[serde(default = "default_margin")]
+    pub collapse_margin: f64,
+    /// Stage 1 alone: go on to the next stage even where it was not passed.
+    #[serde(default)]
+    pub go_on_collapsed: bool,
+}
+
+const fn one() -> usize {
+    1
+}
+const fn default_size() -> usize {
+    256
+}
+const fn default_average() -> f64 {
+    0.999
+}
+const fn default_margin() -> f64 {
+    0.95
+}
+
+/// Why settings describe no training run.
+#[derive(Debug, Error)]
+pub enum SettingsError {
+    /// The file could not be read.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The text is not TOML of the wanted form.
+    #[error("settings are not readable: {0}")]
+    Toml(String),
+    /// The network is not one.
+    #[error(transparent)]
+    Network(#[from] ConfigError),
+    /// A tier is not one.
+    #[error(transparent)]
+    Tier(#[from] noctule_world::UnknownTier),
+    /// A number is out of range.
+    #[error("{key} is {value}, wanted {wanted}")]
+    Number {
+        /// Where in the file.
+        key: String,
+        /// What it says.
+        value: String,
+        /// What would be right.
+        wanted: String,
+    },
+}
+
+fn number(key: impl Into<String>, value: impl ToString, wanted: impl Into<String>) -> SettingsError {
+    SettingsError::Number {
+        key: key.into(),
+        value: value.to_string(),
+        wanted: wanted.into(),
+    }
+}
+
+fn share(key: &str, value: f64) -> Result<(), SettingsError> {
+    if (0.0..=1.0).contains(&value) {
+        Ok(())
+    } else {
+        Err(number(key, value, "0 to 1"))
+    }
+}
+
+impl Settings {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// [`SettingsError`], for the first thing that is wrong with it.
+    pub fn read(path: &Path) -> Result<Self, SettingsError> {
+        let text = std::fs::read_to_string(path).map_err(|source| SettingsError::File {
+            path: path.into(),
+            source,
+        })?;
+        Self::from_toml(&text)
+    }
+
+    /// As [`read`](Self::read), from text.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn from_toml(text: &str) -> Result<Self, SettingsError> {
+        let settings: Self = toml::from_str(text).map_err(|e| SettingsError::Toml(e.to_string()))?;
+        settings.check()?;
+        Ok(settings)
+    }
+
+    /// The file's text, defaults spelt out.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("numbers and strings in tables always serialise")
+    }
+
+    /// The network the run trains, for `steps` depth maps per exposure of eight.
+    ///
+    /// # Errors
+    /// [`SettingsError::Network`] for an unknown member.
+    pub fn network(&self) -> Result<Config, SettingsError> {
+        Ok(Config::member(&self.member)?
+            .with_steps(STEPS)
+            .with_variant(self.variant))
+    }
+
+    /// The drives to train on.
+    ///
+    /// # Errors
+    /// [`SettingsError::Tier`].
+    pub fn train(&self) -> Result<Vec<Nights>, SettingsError> {
+        nights(&self.data.train)
+    }
+
+    /// The drives to validate on.
+    ///
+    /// # Errors
+    /// [`SettingsError::Tier`].
+    pub fn validation(&self) -> Result<Vec<Nights>, SettingsError> {
+        nights(&self.data.validation)
+    }
+
+    fn check(&self) -> Result<(), SettingsError> {
+        self.network()?;
+        if self.threads == 0 {
+            return Err(number("threads", 0, "1 or more"));
+        }
+        if !(0.0..1.0).contains(&self.average) {
+            return Err(number("average", self.average, "0 to below 1"));
+        }
+        self.check_data()?;
+        self.augment.check()?;
+        self.loss.check()?;
+        if self.stages.is_empty() {
+            return Err(number("stages", "empty", "one or more"));
+        }
+        let restores = self.network()?.has_efr();
+        for (index, stage) in self.stages.iter().enumerate() {
+            stage.check(index, self.data.size)?;
+            if !restores && stage.kind == Kind::Restore {
+                let key = format!("stages[{index}].kind");
+                return Err(number(key, "1", "another: the variant restores nothing"));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_data(&self) -> Result<(), SettingsError> {
+        let data = &self.data;
+        if data.size == 0 || data.size > 256 || !data.size.is_multiple_of(SIDE_MULTIPLE) {
+            return Err(number("data.size", data.size, "a multiple of 16 up to 256"));
+        }
+        if !(1..=64).contains(&data.loaders) {
+            return Err(number("data.loaders", data.loaders, "1 to 64"));
+        }
+        check_drives("data.train", &data.train, 0..VALIDATION_SEEDS)?;
+        check_drives("data.validation", &data.validation, VALIDATION_SEEDS..TEST_SEEDS)
+    }
+}
+
+fn nights(drives: &[Drives]) -> Result<Vec<Nights>, SettingsError> {
+    drives
+        .iter()
+        .map(|drives| {
+            Ok(Nights {
+                tier: drives.tier.parse::<Tier>()?,
+                seeds: drives.seeds[0]..drives.seeds[1],
+            })
+        })
+        .collect()
+}
+
+/// No empty list, no seed outside `allowed`, none twice in a tier.
+fn check_drives(key: &str, drives: &[Drives], allowed: Range<u64>) -> Result<(), SettingsError> {
+    if drives.is_empty() {
+        return Err(number(key, "empty", "one range of seeds or more"));
+    }
+    let nights = nights(drives)?;
+    for (index, night) in nights.iter().enumerate() {
+        let Range { start, end } = night.seeds;
+        if start >= end || start < allowed.start || end > allowed.end {
+            return Err(number(
+                format!("{key}[{index}].seeds"),
+                format!("{start}..{end}"),
+                format!("a range within {}..{}", allowed.start, allowed.end),
+            ));
+        }
+        let overlaps = |other: &Nights| {
+            other.tier == night.tier && other.seeds.start < end && start < other.seeds.end
+        };
+        if nights[..index].iter().any(overlaps) {
+            let value = format!("{start}..{end}");
+            return Err(number(format!("{key}[{index}].seeds"), value, "no seed twice in a tier"));
+        }
+    }
+    Ok(())
+}
+
+impl Augment {
+    fn check(&self) -> Result<(), SettingsError> {
+        share("augment.flip", self.flip)?;
+        share("augment.event_drop_max", self.event_drop_max)?;
+        share("augment.return_drop_max", self.return_drop_max)?;
+        if !(0.0..=10.0).contains(&self.event_noise_max) {
+            return Err(number("augment.event_noise_max", self.event_noise_max, "0 to 10"));
+        }
+        let [low, high] = self.gain;
+        if !(low > 0.0 && low <= high && high <= 100.0) {
+            let value = format!("[{low}, {high}]");
+            return Err(number("augment.gain", value, "two factors above 0, up to 100, in order"));
+        }
+        Ok(())
+    }
+}
+
+impl Loss {
+    fn check(&self) -> Result<(), SettingsError> {
+        let weights = [
+            ("charbonnier", self.charbonnier),
+            ("ssim", self.ssim),
+            ("edge", self.edge),
+            ("reblur", self.reblur),
+            ("gradient", self.gradient),
+            ("sparse", self.sparse),
+            ("contrast", self.contrast),
+            ("log_depth", self.log_depth),
+            ("depth_edges", self.depth_edges),
+        ];
+        match weights.iter().find(|(_, weight)| !(0.0..=1e3).contains(weight)) {
+            Some((key, value)) => Err(number(format!("loss.{key}"), value, "0 to 1000")),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Stage {
+    fn check(&self, index: usize, size: usize) -> Result<(), SettingsError> {
+        let key = |name: &str| format!("stages[{index}].{name}");
+        if self.steps == 0 {
+            return Err(number(key("steps"), 0, "1 or more"));
+        }
+        if !(1..=64).contains(&self.batch) {
+            return Err(number(key("batch"), self.batch, "1 to 64"));
+        }
+        if self.crop == 0 || self.crop > size || !self.crop.is_multiple_of(SIDE_MULTIPLE) {
+            let wanted = format!("a multiple of {SIDE_MULTIPLE} up to {size}");
+            return Err(number(key("crop"), self.crop, wanted));
+        }
+        if !(1..=STEPS).contains(&self.window) {
+            return Err(number(key("window"), self.window, format!("1 to {STEPS}")));
+        }
+        let [start, end] = self.rate;
+        if !(start > 0.0 && start <= 1.0 && end >= 0.0 && end <= start) {
+            let value = format!("[{start}, {end}]");
+            return Err(number(key("rate"), value, "two rates up to 1, not rising"));
+        }
+        if self.clip_norm.is_some_and(|norm| norm.is_nan() || norm <= 0.0) {
+            return Err(number(key("clip_norm"), format!("{:?}", self.clip_norm), "above 0"));
+        }
+        if self.validate_every == 0 || self.checkpoint_every == 0 {
+            return Err(number(key("validate_every"), 0, "1 or more, as checkpoint_every"));
+        }
+        share(&key("collapse_margin"), self.collapse_margin)
+    }
+}

@@ -1,0 +1,240 @@
+//! How good the averaged weights are on drives that are never trained on.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use candle_core::Device;
+use noctule_depth::{Completer, Score, ScoreTable, Size};
+use noctule_erunet::{Network, Norms, Pass, Weights};
+use noctule_world::STEPS;
+use serde::Serialize;
+
+use super::error::TrainError;
+use super::grid::Grid;
+use super::step::{batch_loss, scalar};
+use crate::batch::{Batch, Inputs};
+use crate::cache::{Example, Examples};
+use crate::score::{DEPTH_CAP_M, Truth, score_sequence};
+use crate::settings::{Kind, Loss};
+
+/// What a validation found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Validation {
+    /// The stage's kind.
+    pub stage: &'static str,
+    /// Changes of the weights so far, over all stages.
+    pub step: u64,
+    /// Wall-clock seconds it took.
+    pub seconds: f64,
+    /// Depth, in the stages that train it.
+    pub depth: Option<DepthValidation>,
+    /// Pictures, in stage 1.
+    pub pictures: Option<PictureValidation>,
+}
+
+/// Errors as shares of those of the exact nearest return on the same exposures, all steps.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct DepthValidation {
+    /// Root mean square error.
+    pub rmse: f64,
+    /// Mean absolute error.
+    pub mae: f64,
+    /// Mean absolute error within 5 px of a depth edge.
+    pub edge_mae: f64,
+    /// Mean absolute error on movers.
+    pub mover_mae: f64,
+    /// Mean absolute error on thin things.
+    pub thin_mae: f64,
+    /// Mean absolute error, millimetres.
+    pub mae_mm: f64,
+    /// Mean absolute error of the last step over that of the first.
+    pub last_over_first: f64,
+}
+
+impl DepthValidation {
+    /// One number to compare weights by, lower is better: the mean of the three main shares.
+    pub fn score(&self) -> f64 {
+        (self.rmse + self.mae + self.edge_mae) / 3.0
+    }
+}
+
+/// Restoration's loss, which only means something beside that of the blurred picture.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PictureValidation {
+    /// Eq. 11.
+    pub loss: f64,
+    /// Eq. 11 of the blurred picture at every step.
+    pub blurred: f64,
+    /// Mean absolute difference of the restored pictures from their mean.
+    pub spread: f64,
+}
+
+impl PictureValidation {
+    /// Loss over that of the blurred picture: 1 is a collapse.
+    pub fn share(&self) -> f64 {
+        self.loss / self.blurred
+    }
+}
+
+/// Validation's examples and what the nearest return makes of them.
+pub(super) struct Validator {
+    examples: Examples,
+    size: Size,
+    nearest: Score,
+    depth_max_m: f32,
+}
+
+impl Validator {
+    pub(super) fn new(
+        examples: Examples,
+        side: usize,
+        depth_max_m: f32,
+    ) -> Result<Self, TrainError> {
+        let size = Size::new(side, side)?;
+        let mut table = ScoreTable::new();
+        for index in 0..examples.len() {
+            let example = examples.read(index, false)?;
+            add(&mut table, index, &nearest(&example, size)?, &example, size)?;
+        }
+        let nearest = table.mean().ok_or_else(no_truth)?;
+        Ok(Self {
+            examples,
+            size,
+            nearest,
+            depth_max_m,
+        })
+    }
+
+    /// Validates `weights`; `None` when `stop` was set meanwhile. Depth maps of some exposures are
+    /// drawn on a sheet.
+    pub(super) fn run(
+        &self,
+        weights: &Weights,
+        kind: Kind,
+        loss: &Loss,
+        stop: &AtomicBool,
+    ) -> Result<Option<(Validation, Grid)>, TrainError> {
+        let started = Instant::now();
+        let config = weights.config().ok_or_else(no_truth)?;
+        let network = Network::new(config, weights, Norms::Fold)?;
+        let mut grid = Grid::new(self.size, self.examples.len());
+        let mut table = ScoreTable::new();
+        let mut pictures = PictureValidation {
+            loss: 0.0,
+            blurred: 0.0,
+            spread: 0.0,
+        };
+        for index in 0..self.examples.len() {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            let restores = kind == Kind::Restore;
+            let example = self.examples.read(index, restores)?;
+            let wanted = restores.then_some((loss.reblur_domain, loss.contrast));
+            let batch = Batch::whole(&example, wanted, self.depth_max_m);
+            let inputs = batch
+                .map_err(crate::batch::BatchError::from)?
+                .to_device(&network_device(&network))?;
+            if restores {
+                let share = 1.0 / self.examples.len() as f64;
+                let found = batch_loss(&network, kind, &inputs, loss, &mut Pass::plain())?;
+                pictures.loss += share * scalar(&found.total)?;
+                if let Some(beside) = found.beside {
+                    pictures.blurred += share * beside.blurred;
+                    pictures.spread += share * beside.spread;
+                }
+                continue;
+            }
+            let pred = depth(&network, &inputs)?;
+            add(&mut table, index, &pred, &example, self.size)?;
+            grid.add(index, &example, &inputs, &pred)?;
+        }
+        let depth = match (table.mean(), kind) {
+            (Some(mean), _) => Some(self.shares(&mean, &table)),
+            (None, Kind::Restore) => None,
+            (None, _) => return Err(no_truth()),
+        };
+        let validation = Validation {
+            stage: kind.name(),
+            step: 0,
+            seconds: started.elapsed().as_secs_f64(),
+            pictures: depth.is_none().then_some(pictures),
+            depth,
+        };
+        Ok(Some((validation, grid)))
+    }
+
+    fn shares(&self, mean: &Score, table: &ScoreTable) -> DepthValidation {
+        let part = |part: fn(&Score) -> Option<f64>| match (part(mean), part(&self.nearest)) {
+            (Some(ours), Some(nearest)) if nearest > 0.0 => ours / nearest,
+            _ => f64::NAN,
+        };
+        let of_step = |step: u64| {
+            let maes: Vec<f64> = table
+                .rows()
+                .filter(|(index, _)| index % STEPS as u64 == step)
+                .map(|(_, score)| score.metrics.mae_mm)
+                .collect();
+            maes.iter().sum::<f64>() / maes.len() as f64
+        };
+        DepthValidation {
+            rmse: part(|s| Some(s.metrics.rmse_mm)),
+            mae: part(|s| Some(s.metrics.mae_mm)),
+            edge_mae: part(|s| s.edge_band_mae_mm),
+            mover_mae: part(|s| s.mover_mae_mm),
+            thin_mae: part(|s| s.thin_mae_mm),
+            mae_mm: mean.metrics.mae_mm,
+            last_over_first: of_step(STEPS as u64 - 1) / of_step(0),
+        }
+    }
+}
+
+fn network_device(network: &Network) -> Device {
+    network.device().clone()
+}
+
+fn no_truth() -> TrainError {
+    noctule_depth::MetricsError::NoTruth { cap: DEPTH_CAP_M }.into()
+}
+
+/// All eight maps of one exposure, `[T, H, W]`, metres.
+fn depth(network: &Network, inputs: &Inputs) -> Result<Vec<f32>, TrainError> {
+    let outputs = network.forward(&inputs.blur, &inputs.voxel, &inputs.sparse)?;
+    Ok(outputs.depth.flatten_all()?.to_vec1()?)
+}
+
+/// Nearest returns of all eight steps.
+fn nearest(example: &Example, size: Size) -> Result<Vec<f32>, TrainError> {
+    let mut completer = Completer::new(size.width(), size.height())?;
+    let mut maps = vec![0.0; STEPS * size.pixels()];
+    let mut distance_px = vec![0.0; size.pixels()];
+    for (step, map) in maps.chunks_exact_mut(size.pixels()).enumerate() {
+        let sparse = example.step(&example.sparse, step);
+        completer.nearest(sparse, map, &mut distance_px)?;
+    }
+    Ok(maps)
+}
+
+fn add(
+    table: &mut ScoreTable,
+    index: usize,
+    pred: &[f32],
+    example: &Example,
+    size: Size,
+) -> Result<(), TrainError> {
+    let truth = Truth {
+        depth: &example.depth,
+        movers: &example.movers,
+        thin: &example.thin,
+        flow: &[],
+        cap_m: DEPTH_CAP_M,
+    };
+    for (step, score) in score_sequence(pred, truth, size)?.into_iter().enumerate() {
+        if let Some(score) = score {
+            table
+                .insert((index * STEPS + step) as u64, score)
+                .expect("every exposure is scored once");
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,227 @@
+//! `noctule train`: teaches a network on the synthetic night.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+use indicatif::ProgressBar;
+use noctule_learn::{
+    Cache, CacheError, Kind, Prepared, Report, Run, Settings, Start, StepReport, TrainError,
+    Validation,
+};
+
+use super::{Failure, Outcome, progress, stop_on_signals};
+
+/// Time between lines about steps where standard error is no terminal.
+const LINE_EVERY: Duration = Duration::from_secs(30);
+
+/// Arguments of `noctule train`.
+#[derive(Debug, clap::Args)]
+pub struct Arguments {
+    /// Settings of the run (`config/train/*.toml`)
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// The run's folder; without it `runs/NAME`, NAME as the settings file is called
+    #[arg(long, value_name = "DIR")]
+    run: Option<PathBuf>,
+    /// Goes on from the folder's checkpoint
+    #[arg(long)]
+    resume: bool,
+    /// Runs the stages of this kind alone: 1, 2, 3 or joint
+    #[arg(long, value_name = "KIND", value_parser = stage_kind)]
+    stage: Option<Kind>,
+    /// Weights file to start from, in place of the settings' `init`
+    #[arg(long, value_name = "FILE")]
+    init: Option<PathBuf>,
+    /// Only renders the examples the run needs; can be stopped and called again
+    #[arg(long)]
+    prepare_only: bool,
+    /// Folder for rendered examples, in place of the settings' `data.cache`
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Processor threads, in place of the settings' `threads`
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+}
+
+fn stage_kind(text: &str) -> Result<Kind, String> {
+    [Kind::Restore, Kind::Complete, Kind::Together, Kind::Joint]
+        .into_iter()
+        .find(|kind| kind.name() == text)
+        .ok_or_else(|| format!("stage is {text:?}, must be 1, 2, 3 or joint"))
+}
+
+/// Prepares the examples, then trains.
+pub fn run(arguments: &Arguments) -> Outcome {
+    let mut settings = Settings::read(&arguments.config)?;
+    if let Some(init) = &arguments.init {
+        settings.init = Some(init.clone());
+    }
+    if let Some(cache) = &arguments.cache {
+        settings.data.cache.clone_from(cache);
+    }
+    let threads = arguments.threads.unwrap_or(settings.threads).max(1);
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()?;
+    let stop = stop_on_signals()?;
+    let cache = prepare(&settings, &stop)?;
+    if arguments.prepare_only {
+        return Ok(());
+    }
+    let start = Start {
+        folder: arguments
+            .run
+            .clone()
+            .unwrap_or_else(|| default_folder(&arguments.config)),
+        resume: arguments.resume,
+        only: arguments.stage,
+    };
+    let mut telling = Telling::new();
+    let mut run = Run::new(settings, start, &cache)?;
+    let outcome = run.train(&stop, &mut |report| telling.tell(report));
+    telling.bar.finish_and_clear();
+    match outcome {
+        Ok(()) => Ok(()),
+        Err(TrainError::Interrupted(folder)) => {
+            eprintln!("a checkpoint is in {}: go on with --resume", folder.display());
+            Err(Failure::Interrupted)
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+fn default_folder(config: &Path) -> PathBuf {
+    Path::new("runs").join(config.file_stem().unwrap_or_default())
+}
+
+/// Renders the missing examples, validation first, with a progress bar.
+fn prepare(settings: &Settings, stop: &AtomicBool) -> Result<Cache, Failure> {
+    let cache = Cache::new(&settings.data.cache, settings.data.size)?;
+    let nights = [settings.validation()?, settings.train()?];
+    for (what, nights) in ["validation", "training"].iter().zip(nights) {
+        let bar = progress::bar(0, &format!("rendering {what} nights"));
+        let started = Instant::now();
+        let mut last = Prepared::default();
+        let done = cache.prepare(&nights, stop, &mut |now: Prepared| {
+            bar.set_length(now.total);
+            bar.set_position(now.done);
+            if bar.is_hidden() && now.rendered / 160 != last.rendered / 160 {
+                let pace = started.elapsed().as_secs_f64() / now.rendered as f64;
+                eprintln!(
+                    "{} of {} {what} nights, {pace:.3} s each",
+                    now.done, now.total
+                );
+            }
+            last = now;
+        });
+        bar.finish_and_clear();
+        match done {
+            Ok(()) => {}
+            Err(CacheError::Interrupted) => return Err(Failure::Interrupted),
+            Err(error) => return Err(error.into()),
+        }
+        eprintln!(
+            "{} {what} nights in {}, {} of them new",
+            last.done,
+            cache.folder().display(),
+            last.rendered
+        );
+    }
+    Ok(cache)
+}
+
+/// Tells how a run goes: a bar on a terminal, a line now and then elsewhere.
+struct Telling {
+    bar: ProgressBar,
+    last_line: Option<Instant>,
+    /// Seconds a step takes, averaged over the last ones.
+    pace_s: f64,
+    /// Loss, averaged likewise, within one stage.
+    loss: Option<(Kind, f64)>,
+}
+
+impl Telling {
+    fn new() -> Self {
+        Self {
+            bar: progress::bar(0, "training"),
+            last_line: None,
+            pace_s: 0.0,
+            loss: None,
+        }
+    }
+
+    fn tell(&mut self, report: &Report<'_>) {
+        match report {
+            Report::Step(step) => self.step(step),
+            Report::Validation(found) => self.line(&validation_line(found)),
+            Report::Note(text) => self.line(text),
+        }
+    }
+
+    fn line(&self, text: &str) {
+        if self.bar.is_hidden() {
+            eprintln!("{text}");
+        } else {
+            self.bar.println(text);
+        }
+    }
+
+    fn step(&mut self, step: &StepReport<'_>) {
+        self.pace_s = match self.pace_s {
+            0.0 => step.seconds,
+            pace => 0.95 * pace + 0.05 * step.seconds,
+        };
+        let loss = match self.loss {
+            Some((kind, loss)) if kind == step.kind => 0.95 * loss + 0.05 * step.loss,
+            _ => step.loss,
+        };
+        self.loss = Some((step.kind, loss));
+        let left_s = self.pace_s * (step.totals - step.total) as f64;
+        let mut text = format!(
+            "stage {} step {}/{} loss {loss:.4}",
+            step.kind.name(),
+            step.step,
+            step.steps
+        );
+        if let Some(beside) = step.beside {
+            text += &format!(
+                " (this batch {:.4}, the blurred picture {:.4}, spread {:.5})",
+                step.loss, beside.blurred, beside.spread
+            );
+        }
+        self.bar.set_length(step.totals);
+        self.bar.set_position(step.total);
+        self.bar.set_message(text.clone());
+        let is_due = self.last_line.is_none_or(|at| at.elapsed() > LINE_EVERY);
+        if self.bar.is_hidden() && is_due {
+            self.last_line = Some(Instant::now());
+            eprintln!(
+                "{text}, {:.2} s/step, about {:.0} min left",
+                self.pace_s,
+                left_s / 60.0
+            );
+        }
+    }
+}
+
+fn validation_line(found: &Validation) -> String {
+    let mut line = format!("validation after {} steps:", found.step);
+    if let Some(d) = found.depth {
+        line += &format!(
+            " of nearest: RMSE {:.3}, MAE {:.3}, edge band {:.3}, movers {:.3}, thin {:.3}; \
+             MAE {:.0} mm; step 8 over step 1 {:.3}",
+            d.rmse, d.mae, d.edge_mae, d.mover_mae, d.thin_mae, d.mae_mm, d.last_over_first
+        );
+    }
+    if let Some(p) = found.pictures {
+        line += &format!(
+            " loss {:.4} beside {:.4} for the blurred picture ({:.3}), spread {:.5}",
+            p.loss,
+            p.blurred,
+            p.share(),
+            p.spread
+        );
+    }
+    format!("{line}; {:.0} s", found.seconds)
+}
