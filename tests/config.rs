@@ -58,6 +58,10 @@ fn keys_nobody_knows_and_values_of_the_wrong_type_are_refused_by_name() {
         ("[lidar]\nip = \"10.0.0.1\"", "ip"),
         ("[infer]\nmodel = \"huge\"", "model"),
         ("[infer]\nladders = true", "ladders"),
+        ("[infer]\nthreads = -1", "threads"),
+        ("[infer]\nprecision = \"f16\"", "f16"),
+        ("[infer]\ndevice = \"gpu\"", "gpu"),
+        ("[infer]\ndevice = \"cuda:\"", "cuda:"),
         ("[infer.weights]\nhuge = \"x.safetensors\"", "huge"),
         ("[can]\nbitrate = 500000", "bitrate"),
         ("[can.speed]\nid = 1\ncolour = 2", "colour"),
@@ -132,6 +136,7 @@ fn values_out_of_range_and_contradictions_are_refused_by_name() {
         ),
         ("[lidar]\nmodel = \"vlp16\"", "lidar.model"),
         ("[infer]\nmodel = \"s\"", "infer.model"),
+        ("[infer]\nthreads = 65", "infer.threads"),
         (
             "[infer]\nmodel = \"full\"\n[infer.weights]\nxs = \"xs.safetensors\"",
             "infer.model",

@@ -93,7 +93,8 @@ fn network(name: &str) -> Result<(Config, Weights), Failure> {
             if path.extension().is_some_and(|e| e == "safetensors") {
                 let weights = Weights::read(path, &Device::Cpu)?;
                 let config = weights.config().cloned();
-                let config = config.ok_or_else(|| refused(format!("{name}: does not say its widths")))?;
+                let config =
+                    config.ok_or_else(|| refused(format!("{name}: does not say its widths")))?;
                 return Ok((config, weights));
             }
             let text = std::fs::read_to_string(path)?;

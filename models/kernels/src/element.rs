@@ -1,6 +1,6 @@
 //! The two number formats features and weights are stored in.
 
-use crate::simd::{Simd, bf16_from_f32};
+use crate::simd::{LANES, Simd, bf16_from_f32};
 
 /// A storage format. Sums are always kept in single precision.
 ///
@@ -16,7 +16,10 @@ pub(crate) trait Element: Copy + Send + Sync + 'static {
 
     fn from_f32(x: f32) -> Self::T;
     unsafe fn weights<S: Simd>(from: *const Self::T) -> Self::W<S>;
-    unsafe fn spread<S: Simd>(from: *const Self::T) -> Self::W<S>;
+    /// The inputs of pixel `PIXEL` of a strip whose pixels lie `STRIDE` apart, `from` its first.
+    unsafe fn spread<S: Simd, const PIXEL: usize, const STRIDE: usize>(
+        from: *const Self::T,
+    ) -> Self::W<S>;
     unsafe fn mul_add<S: Simd>(x: Self::W<S>, w: Self::W<S>, sum: S::V) -> S::V;
     unsafe fn load<S: Simd>(from: *const Self::T) -> S::V;
     unsafe fn store<S: Simd>(to: *mut Self::T, x: S::V);
@@ -47,8 +50,8 @@ impl Element for Single {
         S::load(from)
     }
     #[inline(always)]
-    unsafe fn spread<S: Simd>(from: *const f32) -> S::V {
-        S::splat(*from)
+    unsafe fn spread<S: Simd, const PIXEL: usize, const STRIDE: usize>(from: *const f32) -> S::V {
+        S::splat(*from.add(PIXEL * STRIDE * LANES))
     }
     #[inline(always)]
     unsafe fn mul_add<S: Simd>(x: S::V, w: S::V, sum: S::V) -> S::V {
@@ -81,8 +84,10 @@ impl Element for Brain {
         S::load_pairs(from)
     }
     #[inline(always)]
-    unsafe fn spread<S: Simd>(from: *const u16) -> S::Pairs {
-        S::spread_pair(from)
+    unsafe fn spread<S: Simd, const PIXEL: usize, const STRIDE: usize>(
+        from: *const u16,
+    ) -> S::Pairs {
+        S::spread_pair::<PIXEL, STRIDE>(from)
     }
     #[inline(always)]
     unsafe fn mul_add<S: Simd>(x: S::Pairs, w: S::Pairs, sum: S::V) -> S::V {

@@ -243,7 +243,7 @@ impl<E: Element> Kernel for GarfRows<'_, E> {
                 }
             }
             let out = &op.finish.out;
-            out.clear_halo::<E>(frame.arena, rows.start, rows.end);
+            out.clear_halo::<E>(frame.arena, 0..out.block_count(), rows);
         }
     }
 }

@@ -185,7 +185,7 @@ impl<E: Element> Kernel for GateRows<'_, E> {
         }
         if let Some((_, to)) = &op.kept {
             // SAFETY: as above.
-            unsafe { to.clear_halo::<E>(frame.arena, rows.start, rows.end) };
+            unsafe { to.clear_halo::<E>(frame.arena, 0..to.block_count(), rows) };
         }
     }
 }

@@ -4,6 +4,8 @@
 //! wide as the widest window that reads the feature and holds zeros, so that no kernel has
 //! borders. Lanes beyond the last channel hold finite values that meet zero weights.
 
+use std::ops::Range;
+
 use crate::element::Element;
 use crate::simd::LANES;
 
@@ -81,17 +83,23 @@ impl Place {
         self.origin + block * self.block + y * self.row + x * LANES
     }
 
-    /// Writes the halo beside rows `from..to`, and above or below where they meet the border.
+    /// Writes the halo of `blocks` beside `rows`, and above or below where they meet the border.
     ///
     /// # Safety
     /// `arena` is that of the program this place was made for, and no other thread writes these
-    /// rows.
-    pub(crate) unsafe fn clear_halo<E: Element>(&self, arena: *mut u8, from: usize, to: usize) {
+    /// rows of these blocks.
+    pub(crate) unsafe fn clear_halo<E: Element>(
+        &self,
+        arena: *mut u8,
+        blocks: Range<usize>,
+        rows: Range<usize>,
+    ) {
+        let (from, to) = (rows.start, rows.end);
         if self.halo == 0 || from == to {
             return;
         }
         let side = self.halo * LANES;
-        for block in 0..self.block_count() {
+        for block in blocks {
             let start = self.origin + block * self.block - side;
             let first = if from == 0 {
                 start - self.halo * self.row

@@ -108,7 +108,7 @@ impl<E: Element> Kernel for TakeRows<'_, E> {
                     }
                 }
             }
-            to.clear_halo::<E>(frame.arena, rows.start, rows.end);
+            to.clear_halo::<E>(frame.arena, 0..to.block_count(), rows);
         }
     }
 }

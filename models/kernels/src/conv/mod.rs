@@ -10,6 +10,7 @@ use std::ops::Range;
 pub use finish::Store;
 
 pub(crate) use filter::{Dense, Filter, Group, consecutive, shuffled};
+use finish::LINE;
 pub(crate) use finish::{Finish, Gain, Spot};
 pub(crate) use tile::{InBlock, TILE_SUMS, TileArgs, TileFn, group_sizes, tile_fn, tile_pixels};
 
@@ -36,6 +37,8 @@ pub(crate) struct ConvOp<E: Element> {
     finish: Finish,
     /// Before the store enlarges it.
     size: Size,
+    stride: usize,
+    /// Whether threads share the rows; else each takes groups of outputs over all rows.
     rows_outside: bool,
 }
 
@@ -89,6 +92,7 @@ impl<E: Element> ConvOp<E> {
         Self {
             inputs: in_blocks::<E>(inputs),
             kernel: dense.kernel,
+            stride,
             stripes: stripes.collect(),
             rows_outside: filter.weight_bytes() <= CACHED_WEIGHT_BYTES,
             filter,
@@ -97,8 +101,14 @@ impl<E: Element> ConvOp<E> {
         }
     }
 
-    pub(crate) fn rows(&self) -> usize {
-        self.size.height
+    /// What threads may share: rows, or groups of outputs where the weights do not stay in a
+    /// cache while rows pass by and one thread should meet each of them alone.
+    pub(crate) fn units(&self) -> usize {
+        if self.rows_outside {
+            self.size.height
+        } else {
+            self.stripes.len()
+        }
     }
 
     pub(crate) fn weight_bytes(&self) -> usize {
@@ -107,12 +117,12 @@ impl<E: Element> ConvOp<E> {
 
     /// # Safety
     /// The processor has the instructions of `S`; `frame` is that of the program this was built
-    /// for; no other thread works on the same rows.
-    pub(crate) unsafe fn run<S: Simd>(&self, frame: &Frame, rows: Range<usize>) {
-        let kernel = ConvRows {
+    /// for; no other thread works on the same units.
+    pub(crate) unsafe fn run<S: Simd>(&self, frame: &Frame, units: Range<usize>) {
+        let kernel = ConvUnits {
             op: self,
             frame,
-            rows,
+            units,
         };
         // SAFETY: passed on from the caller.
         unsafe { S::vectorize(kernel) }
@@ -133,34 +143,44 @@ impl Sums {
     }
 }
 
-struct ConvRows<'a, E: Element> {
+struct ConvUnits<'a, E: Element> {
     op: &'a ConvOp<E>,
     frame: &'a Frame,
-    rows: Range<usize>,
+    units: Range<usize>,
 }
 
-impl<E: Element> Kernel for ConvRows<'_, E> {
+impl<E: Element> Kernel for ConvUnits<'_, E> {
     #[inline(always)]
     unsafe fn run<S: Simd>(self) {
-        let Self { op, frame, rows } = self;
-        // SAFETY: the caller of `ConvOp::run` vouches for the frame and the rows.
+        let Self { op, frame, units } = self;
+        let scale = op.finish.store.scale();
+        let out = &op.finish.out;
+        // SAFETY: the caller of `ConvOp::run` vouches for the frame and the units; the halo of a
+        // block belongs to its rows, or to the one group that stores its first phase.
         unsafe {
             if op.rows_outside {
-                for y in rows.clone() {
+                for y in units.clone() {
                     for stripe in &op.stripes {
                         op.row::<S>(frame, stripe, y);
                     }
                 }
-            } else {
-                for stripe in &op.stripes {
-                    for y in rows.clone() {
-                        op.row::<S>(frame, stripe, y);
+                let rows = units.start * scale..units.end * scale;
+                out.clear_halo::<E>(frame.arena, 0..out.block_count(), rows);
+                return;
+            }
+            for stripe in &op.stripes[units] {
+                for y in 0..op.size.height {
+                    op.row::<S>(frame, stripe, y);
+                }
+                let Group { first, count, .. } = stripe.group;
+                for block in first..first + count {
+                    let (phase, block) = op.finish.target(block);
+                    if phase == 0 {
+                        let rows = 0..out.size.height;
+                        out.clear_halo::<E>(frame.arena, block..block + 1, rows);
                     }
                 }
             }
-            let scale = op.finish.store.scale();
-            let out = &op.finish.out;
-            out.clear_halo::<E>(frame.arena, rows.start * scale, rows.end * scale);
         }
     }
 }
@@ -196,11 +216,31 @@ impl<E: Element> ConvOp<E> {
                 y,
                 x,
             };
+            if group.first == 0 {
+                self.expect_rows::<S>(&args, *pixels);
+            }
             // SAFETY: the tile lies within the row, the halo covers its windows, and it fills
             // the sums that the finish then reads.
             unsafe {
+                self.finish.expect::<S, E>(frame, spot);
                 tile(&args);
                 self.finish.run::<S, E>(frame, spot, sums.as_mut_ptr());
+            }
+        }
+    }
+
+    /// Asks for the inputs that the tile below the one of `args` will read first.
+    #[inline(always)]
+    fn expect_rows<S: Simd>(&self, args: &TileArgs<'_, E::T>, pixels: usize) {
+        let line = LINE / size_of::<E::T>();
+        let below = args.y * self.stride + self.kernel / 2 + 1;
+        for block in args.blocks {
+            for row in below..below + self.stride {
+                let first = block.origin + row * block.row + args.x * self.stride * LANES;
+                for at in (0..pixels * self.stride * LANES).step_by(line) {
+                    // SAFETY: an expectation may name any address.
+                    unsafe { S::expect_read(args.base.wrapping_add(first + at).cast()) };
+                }
             }
         }
     }

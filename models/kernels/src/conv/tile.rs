@@ -80,12 +80,19 @@ impl<E: Element, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> 
                             let w: [E::W<S>; BLOCKS] = std::array::from_fn(|block| {
                                 E::weights::<S>(weights.add(block * LANES * E::STEP))
                             });
-                            for (pixel, sums) in sums.iter_mut().enumerate() {
-                                let x = E::spread::<S>(input.add(pixel * STRIDE * LANES));
-                                for (sum, w) in sums.iter_mut().zip(&w) {
-                                    *sum = E::mul_add::<S>(x, *w, *sum);
-                                }
+                            // Pixel by pixel with its place known, so that every address is the
+                            // input's plus a constant.
+                            macro_rules! pixels {
+                                ($($pixel:literal)*) => {
+                                    $(if $pixel < PIXELS {
+                                        let x = E::spread::<S, $pixel, STRIDE>(input);
+                                        for (sum, w) in sums[$pixel].iter_mut().zip(&w) {
+                                            *sum = E::mul_add::<S>(x, *w, *sum);
+                                        }
+                                    })*
+                                };
                             }
+                            pixels!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
                             weights = weights.add(BLOCKS * LANES * E::STEP);
                             input = input.add(E::STEP);
                         }

@@ -5,87 +5,140 @@
 //! after the crew stands.
 
 use std::cell::UnsafeCell;
+use std::ops::Range;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering, fence};
-use std::sync::{Arc, OnceLock};
-use std::thread::{self, JoinHandle, Thread};
+use std::thread::{self, JoinHandle};
 
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use rustix::thread::{CpuSet, futex, sched_getaffinity, sched_setaffinity};
 
 /// Turns of the waiting loop before a thread gives up its processor.
 const SPINS: u32 = 4000;
 
+/// A counter on a cache line of its own.
+#[repr(align(64))]
+struct Apart<T>(T);
+
+/// Parts of the share that one thread claims at a time.
+const PARTS: usize = 8;
+
+/// Who does which units of one operation. Every thread has a share, the same whenever it runs, so
+/// that it finds in its caches what it wrote before; whoever has finished helps the others, so
+/// that one thread's losing its processor does not hold up all.
+pub(crate) struct Claims {
+    units: usize,
+    /// Parts claimed, per share.
+    ///
+    /// INVARIANT: zero whenever no thread works on the operation.
+    taken: Vec<Apart<AtomicUsize>>,
+}
+
+impl Claims {
+    pub(crate) fn new(units: usize, threads: usize) -> Self {
+        Self {
+            units,
+            taken: (0..threads).map(|_| Apart(AtomicUsize::new(0))).collect(),
+        }
+    }
+
+    /// Calls `work` with ranges of units until all are claimed; over all threads that call this
+    /// between two barriers, every unit is handed out once.
+    pub(crate) fn each(&self, thread: usize, mut work: impl FnMut(Range<usize>)) {
+        let threads = self.taken.len();
+        if threads == 1 {
+            return work(0..self.units);
+        }
+        let start = |share| self.units * share / threads;
+        for share in (thread..threads).chain(0..thread) {
+            let (from, to) = (start(share), start(share + 1));
+            let part = (to - from).div_ceil(PARTS).max(1);
+            loop {
+                // Relaxed: which thread works where orders nothing; the barriers do.
+                let taken = self.taken[share].0.fetch_add(1, Ordering::Relaxed);
+                let first = from + taken * part;
+                if first >= to {
+                    break;
+                }
+                work(first..to.min(first + part));
+            }
+        }
+    }
+
+    /// Makes everything claimable again; no thread works on the operation.
+    pub(crate) fn reset(&self) {
+        for taken in &self.taken {
+            taken.0.store(0, Ordering::Relaxed);
+        }
+    }
+}
+
 /// A point all threads reach before any goes on.
 pub(crate) struct Barrier {
     count: usize,
-    arrived: AtomicUsize,
-    turn: AtomicU32,
-    /// Which workers sleep; index 0, the caller's, stays false.
-    parked: Vec<AtomicBool>,
-    /// The workers, from index 1.
-    threads: OnceLock<Vec<Thread>>,
+    arrived: Apart<AtomicUsize>,
+    /// Counts the times all have arrived; the word sleepers sleep on.
+    turn: Apart<AtomicU32>,
+    /// Threads asleep, or about to be.
+    sleepers: AtomicU32,
 }
 
 impl Barrier {
     fn new(count: usize) -> Self {
         Self {
             count,
-            arrived: AtomicUsize::new(0),
-            turn: AtomicU32::new(0),
-            parked: (0..count).map(|_| AtomicBool::new(false)).collect(),
-            threads: OnceLock::new(),
+            arrived: Apart(AtomicUsize::new(0)),
+            turn: Apart(AtomicU32::new(0)),
+            sleepers: AtomicU32::new(0),
         }
     }
 
-    /// Returns once all threads have called it; `index` is the caller's place in the crew.
-    pub(crate) fn wait(&self, index: usize) {
+    /// Returns once all threads have called it.
+    pub(crate) fn wait(&self) {
         if self.count == 1 {
             return;
         }
         // The turn cannot change before this thread has arrived.
-        let turn = self.turn.load(Ordering::Relaxed);
+        let turn = self.turn.0.load(Ordering::Relaxed);
         // AcqRel: the last to arrive sees what all others wrote before they arrived.
-        if self.arrived.fetch_add(1, Ordering::AcqRel) + 1 == self.count {
-            self.arrived.store(0, Ordering::Relaxed);
+        if self.arrived.0.fetch_add(1, Ordering::AcqRel) + 1 == self.count {
+            self.arrived.0.store(0, Ordering::Relaxed);
             self.advance();
         } else {
-            self.await_change(index, turn);
+            self.await_change(turn);
         }
     }
 
     /// Starts the next turn and wakes who sleeps.
     fn advance(&self) {
         // Release pairs with the Acquire in `await_change`.
-        self.turn.fetch_add(1, Ordering::Release);
-        // Pairs with the fence of a thread about to sleep: either it sees the new turn, or its
-        // flag is seen here.
+        self.turn.0.fetch_add(1, Ordering::Release);
+        // Pairs with the fence of a thread about to sleep: either the kernel finds the new turn
+        // when it is asked to let that thread sleep, or the sleeper is counted here.
         fence(Ordering::SeqCst);
-        let threads = self.threads.get().map_or(&[][..], Vec::as_slice);
-        for (parked, thread) in self.parked.iter().skip(1).zip(threads) {
-            if parked.swap(false, Ordering::Relaxed) {
-                thread.unpark();
-            }
+        if self.sleepers.load(Ordering::Relaxed) != 0 {
+            // A wake that fails has nobody to wake.
+            let _woken = futex::wake(
+                &self.turn.0,
+                futex::Flags::PRIVATE,
+                i32::MAX.cast_unsigned(),
+            );
         }
     }
 
-    fn await_change(&self, index: usize, turn: u32) {
+    fn await_change(&self, turn: u32) {
         for _ in 0..SPINS {
-            if self.turn.load(Ordering::Acquire) != turn {
+            if self.turn.0.load(Ordering::Acquire) != turn {
                 return;
             }
             std::hint::spin_loop();
         }
-        while self.turn.load(Ordering::Acquire) == turn {
-            if index == 0 {
-                thread::yield_now();
-                continue;
-            }
-            self.parked[index].store(true, Ordering::Relaxed);
-            fence(Ordering::SeqCst); // pairs with the fence in `advance`
-            if self.turn.load(Ordering::Acquire) == turn {
-                thread::park();
-            }
-            self.parked[index].store(false, Ordering::Relaxed);
+        self.sleepers.fetch_add(1, Ordering::Relaxed);
+        fence(Ordering::SeqCst); // pairs with the fence in `advance`
+        while self.turn.0.load(Ordering::Acquire) == turn {
+            // Returns at once if the turn has changed; for any other reason the loop asks again.
+            let _woken = futex::wait(&self.turn.0, futex::Flags::PRIVATE, turn, None);
         }
+        self.sleepers.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
@@ -151,18 +204,14 @@ impl Crew {
                 }
             }
         }
-        let threads = crew.workers.iter().map(|w| w.thread().clone()).collect();
-        crew.shared.barrier.threads.get_or_init(|| threads);
         Ok(crew)
     }
 
     /// Lets the workers of an incomplete crew go: those missing are counted as arrived.
     fn dismiss_unstarted(&mut self, count: usize) {
-        let threads = self.workers.iter().map(|w| w.thread().clone()).collect();
-        self.shared.barrier.threads.get_or_init(|| threads);
         let missing = count - 1 - self.workers.len();
         let barrier = &self.shared.barrier;
-        barrier.arrived.fetch_add(missing, Ordering::AcqRel);
+        barrier.arrived.0.fetch_add(missing, Ordering::AcqRel);
     }
 
     /// Calls `f` on every thread with its index and the barrier; returns when all are done.
@@ -181,9 +230,9 @@ impl Crew {
             };
             // SAFETY: every worker waits at the first barrier of `work`, before its read.
             unsafe { *self.shared.job.get() = Some(job) };
-            self.shared.barrier.wait(0);
+            self.shared.barrier.wait();
             f(0, &self.shared.barrier);
-            self.shared.barrier.wait(0); // no worker uses `f` beyond this point
+            self.shared.barrier.wait(); // no worker uses `f` beyond this point
         }
         drop(guard);
     }
@@ -193,7 +242,7 @@ impl Drop for Crew {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Release);
         if !self.workers.is_empty() {
-            self.shared.barrier.wait(0);
+            self.shared.barrier.wait();
         }
         for worker in self.workers.drain(..) {
             // A worker that panicked has ended the process already.
@@ -206,7 +255,7 @@ fn work(shared: &Shared, index: usize) {
     let _guard = AbortOnPanic;
     bind(index);
     loop {
-        shared.barrier.wait(index);
+        shared.barrier.wait();
         if shared.stop.load(Ordering::Acquire) {
             return;
         }
@@ -217,7 +266,7 @@ fn work(shared: &Shared, index: usize) {
             // SAFETY: the caller waits at the barrier below, so the data is alive.
             unsafe { (job.call)(job.data, index, &shared.barrier) };
         }
-        shared.barrier.wait(index);
+        shared.barrier.wait();
     }
 }
 
@@ -247,15 +296,55 @@ mod tests {
         let mut crew = Crew::new(3).unwrap();
         let counts: Vec<AtomicUsize> = (0..50).map(|_| AtomicUsize::new(0)).collect();
         for run in 1..=20 {
-            crew.run(&|index, barrier: &Barrier| {
+            crew.run(&|_, barrier: &Barrier| {
                 for count in &counts {
                     count.fetch_add(1, Ordering::Relaxed);
-                    barrier.wait(index);
+                    barrier.wait();
                     assert_eq!(count.load(Ordering::Relaxed), 3 * run);
-                    barrier.wait(index);
+                    barrier.wait();
                 }
             });
         }
+    }
+
+    #[test]
+    fn claims_hand_out_every_unit_once() {
+        for threads in 1..=4 {
+            let mut crew = Crew::new(threads).unwrap();
+            for units in [0, 1, 2, 3, 7, 16, 33, 256] {
+                let claims = Claims::new(units, threads);
+                let counts: Vec<AtomicUsize> = (0..units).map(|_| AtomicUsize::new(0)).collect();
+                for run in 1..=3 {
+                    crew.run(&|thread, _: &Barrier| {
+                        claims.each(thread, |range| {
+                            for unit in range {
+                                counts[unit].fetch_add(1, Ordering::Relaxed);
+                            }
+                        });
+                    });
+                    claims.reset();
+                    assert!(counts.iter().all(|c| c.load(Ordering::Relaxed) == run));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_thread_that_is_held_up_is_helped() {
+        let mut crew = Crew::new(2).unwrap();
+        let claims = Claims::new(64, 2);
+        let done = AtomicUsize::new(0);
+        crew.run(&|thread, _: &Barrier| {
+            claims.each(thread, |range| {
+                // The worker holds its first part until the caller has done everything else.
+                let count = range.len();
+                while thread == 1 && done.load(Ordering::Relaxed) < 60 {
+                    std::hint::spin_loop();
+                }
+                done.fetch_add(count, Ordering::Relaxed);
+            });
+        });
+        assert_eq!(done.load(Ordering::Relaxed), 64);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::Program;
 use super::arena::{Demand, place};
 use super::builder::{Builder, Described};
-use super::crew::{Barrier, Crew};
+use super::crew::{Barrier, Claims, Crew};
 use super::profile::{self, Watch};
 use super::spec::{Buffer, BuildError, Feature, Options, Precision, Spec};
 use crate::activation::Activation;
@@ -38,6 +38,9 @@ pub(crate) trait Executable: Send + Sync {
     /// As for `run`.
     unsafe fn run_watched(&self, pass: usize, frame: &Frame, thread: usize, watch: &Watch<'_>);
 
+    /// Makes `pass` ready to run again; no thread runs it.
+    fn reset(&self, pass: usize);
+
     /// The operations of `pass`, in order.
     fn operations(&self, pass: usize) -> Vec<usize>;
 
@@ -55,11 +58,12 @@ enum Operation<E: Element> {
 }
 
 impl<E: Element> Operation<E> {
-    fn rows(&self) -> usize {
+    /// What threads may share: rows, or groups of outputs.
+    fn units(&self) -> usize {
         match self {
             Self::Take(op) => op.to.size.height,
             Self::Give(op) => op.from.size.height,
-            Self::Conv(op) => op.rows(),
+            Self::Conv(op) => op.units(),
             Self::Gate(op) => op.height,
             Self::Garf(op) => op.rows(),
         }
@@ -83,46 +87,46 @@ impl<E: Element> Operation<E> {
     }
 
     /// # Safety
-    /// As for [`Executable::run`]; no other thread works on the same rows.
-    unsafe fn run<S: Simd>(&self, frame: &Frame, rows: Range<usize>) {
+    /// As for [`Executable::run`]; no other thread works on the same units.
+    unsafe fn run<S: Simd>(&self, frame: &Frame, units: Range<usize>) {
         // SAFETY: passed on from the caller.
         unsafe {
             match self {
-                Self::Take(op) => op.run::<S, E>(frame, rows),
-                Self::Give(op) => op.run::<S, E>(frame, rows),
-                Self::Conv(op) => op.run::<S>(frame, rows),
-                Self::Gate(op) => op.run::<S>(frame, rows),
-                Self::Garf(op) => op.run::<S>(frame, rows),
+                Self::Take(op) => op.run::<S, E>(frame, units),
+                Self::Give(op) => op.run::<S, E>(frame, units),
+                Self::Conv(op) => op.run::<S>(frame, units),
+                Self::Gate(op) => op.run::<S>(frame, units),
+                Self::Garf(op) => op.run::<S>(frame, units),
             }
         }
     }
 }
 
-/// One operation of one pass, and whether it must wait for those before it.
+/// One operation of one pass.
 struct Turn {
     operation: usize,
+    /// Whether it must wait for those before it.
     waits: bool,
+    claims: Claims,
 }
 
 struct Compiled<S: Simd, E: Element> {
     operations: Vec<Operation<E>>,
     passes: Vec<Vec<Turn>>,
-    threads: usize,
     variants: usize,
     instructions: std::marker::PhantomData<S>,
 }
 
 impl<S: Simd, E: Element> Compiled<S, E> {
-    /// Works on one thread's share of one operation.
+    /// Works on one operation until all of it is claimed.
     ///
     /// # Safety
     /// As for [`Executable::run`], and what the operation depends on is done.
-    unsafe fn share(&self, operation: usize, frame: &Frame, thread: usize) {
-        let operation = &self.operations[operation];
-        let rows = operation.rows();
-        let share = |thread| rows * thread / self.threads;
-        // SAFETY: passed on from the caller; shares of different threads are disjoint.
-        unsafe { operation.run::<S>(frame, share(thread)..share(thread + 1)) };
+    unsafe fn work(&self, turn: &Turn, frame: &Frame, thread: usize) {
+        let operation = &self.operations[turn.operation];
+        // SAFETY: passed on from the caller; no unit is handed out twice.
+        let some = |units| unsafe { operation.run::<S>(frame, units) };
+        turn.claims.each(thread, some);
     }
 }
 
@@ -130,10 +134,10 @@ impl<S: Simd, E: Element> Executable for Compiled<S, E> {
     unsafe fn run(&self, pass: usize, frame: &Frame, thread: usize, barrier: &Barrier) {
         for turn in &self.passes[pass] {
             if turn.waits {
-                barrier.wait(thread);
+                barrier.wait();
             }
             // SAFETY: what an operation depends on lies before the barrier.
-            unsafe { self.share(turn.operation, frame, thread) };
+            unsafe { self.work(turn, frame, thread) };
         }
     }
 
@@ -141,8 +145,14 @@ impl<S: Simd, E: Element> Executable for Compiled<S, E> {
         for (turn, place) in self.passes[pass].iter().zip(0..) {
             watch.around(thread, place, || {
                 // SAFETY: passed on from the caller; a barrier lies on both sides.
-                unsafe { self.share(turn.operation, frame, thread) };
+                unsafe { self.work(turn, frame, thread) };
             });
+        }
+    }
+
+    fn reset(&self, pass: usize) {
+        for turn in &self.passes[pass] {
+            turn.claims.reset();
         }
     }
 
@@ -216,7 +226,15 @@ fn compile<S: Simd, E: Element>(
         .collect();
     let needs = builder.needs();
     let passes = (0..needs.len())
-        .map(|p| turns(builder, &places, p))
+        .map(|pass| {
+            let turn = |(operation, waits): (usize, bool)| Turn {
+                operation,
+                waits,
+                claims: Claims::new(operations[operation].units(), options.threads),
+            };
+            let turns = turns(builder, &places, pass);
+            turns.into_iter().map(turn).collect()
+        })
         .collect();
     let scratch = operations.iter().map(Operation::scratch_bytes).max();
     // A cache line between threads, so that none slows another down.
@@ -224,7 +242,6 @@ fn compile<S: Simd, E: Element>(
     let executable = Compiled::<S, E> {
         operations,
         passes,
-        threads: options.threads,
         variants: variants(builder),
         instructions: std::marker::PhantomData,
     };
@@ -412,7 +429,7 @@ fn operation<S: Simd, E: Element>(spec: &Spec, places: &Places) -> Operation<E> 
 
 /// The operations of `pass`; each waits if it touches what one since the last wait wrote, or
 /// writes what one read.
-fn turns(builder: &Builder, places: &Places, pass: usize) -> Vec<Turn> {
+fn turns(builder: &Builder, places: &Places, pass: usize) -> Vec<(usize, bool)> {
     let mut turns = Vec::new();
     let mut read: Vec<Range<usize>> = Vec::new();
     let mut written: Vec<Range<usize>> = Vec::new();
@@ -436,7 +453,7 @@ fn turns(builder: &Builder, places: &Places, pass: usize) -> Vec<Turn> {
         }
         read.extend(reads);
         written.extend(writes);
-        turns.push(Turn { operation, waits });
+        turns.push((operation, waits));
     }
     turns
 }

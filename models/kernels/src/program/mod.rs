@@ -122,6 +122,7 @@ impl Program {
             // checked, and the instructions were when the program was built.
             unsafe { shared.executable.run(pass, &frame, thread, barrier) };
         });
+        self.executable.reset(pass);
         Ok(())
     }
 
@@ -154,6 +155,7 @@ impl Program {
                     shared.executable.run_watched(pass, &frame, thread, &watch);
                 }
             });
+            shared.executable.reset(pass);
         }
         let of = |(&operation, seconds): (&usize, f64)| OpProfile {
             pass,

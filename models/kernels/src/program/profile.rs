@@ -228,10 +228,10 @@ impl Times {
 impl Watch<'_> {
     /// Does `work` between two barriers; the first thread of the crew times it.
     pub(super) fn around(&self, thread: usize, place: usize, work: impl FnOnce()) {
-        self.barrier.wait(thread);
+        self.barrier.wait();
         let started = Instant::now();
         work();
-        self.barrier.wait(thread);
+        self.barrier.wait();
         if thread == 0 {
             let spent = u64::try_from(started.elapsed().as_nanos()).unwrap_or(u64::MAX);
             self.times[place].fetch_min(spent, Ordering::Relaxed);

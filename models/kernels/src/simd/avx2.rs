@@ -6,7 +6,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Kernel, Simd};
+use super::{Kernel, LANES, Simd};
 
 /// Two registers of eight.
 #[derive(Clone, Copy)]
@@ -126,9 +126,16 @@ impl Simd for Avx2 {
         )
     }
     #[inline(always)]
-    unsafe fn spread_pair(from: *const u16) -> Self::Pairs {
+    unsafe fn spread_pair<const PIXEL: usize, const STRIDE: usize>(
+        from: *const u16,
+    ) -> Self::Pairs {
+        let from = from.add(PIXEL * STRIDE * LANES);
         let pair = _mm256_set1_epi32(from.cast::<i32>().read_unaligned());
         (pair, pair)
+    }
+    #[inline(always)]
+    unsafe fn expect_read(at: *const u8) {
+        _mm_prefetch::<_MM_HINT_T0>(at.cast());
     }
     #[inline(always)]
     unsafe fn dot_add(sum: V, a: Self::Pairs, b: Self::Pairs) -> V {

@@ -57,14 +57,20 @@ pub(crate) trait Simd: Copy + Send + Sync + 'static {
     /// Sum of the lanes.
     unsafe fn sum(x: Self::V) -> f32;
 
+    /// Asks for a cache line that will be read; any address is allowed.
+    unsafe fn expect_read(_at: *const u8) {}
+    /// Asks for a cache line that will be written; any address is allowed.
+    unsafe fn expect_write(_at: *const u8) {}
+
     /// Widens sixteen bfloat16.
     unsafe fn widen(from: *const u16) -> Self::V;
     /// Rounds to bfloat16, to nearest, ties to even.
     unsafe fn narrow(to: *mut u16, x: Self::V);
     /// Thirty-two bfloat16 as sixteen pairs.
     unsafe fn load_pairs(from: *const u16) -> Self::Pairs;
-    /// Two bfloat16 into every lane.
-    unsafe fn spread_pair(from: *const u16) -> Self::Pairs;
+    /// Two bfloat16 into every lane: those `PIXEL * STRIDE` times sixteen numbers from `from`.
+    unsafe fn spread_pair<const PIXEL: usize, const STRIDE: usize>(from: *const u16)
+    -> Self::Pairs;
     /// `sum + a.0 * b.0 + a.1 * b.1` per lane in single precision.
     unsafe fn dot_add(sum: Self::V, a: Self::Pairs, b: Self::Pairs) -> Self::V;
 }

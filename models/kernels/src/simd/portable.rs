@@ -84,7 +84,10 @@ impl Simd for Portable {
         pairs.map(|[a, b]| (f32_from_bf16(a), f32_from_bf16(b)))
     }
     #[inline(always)]
-    unsafe fn spread_pair(from: *const u16) -> Self::Pairs {
+    unsafe fn spread_pair<const PIXEL: usize, const STRIDE: usize>(
+        from: *const u16,
+    ) -> Self::Pairs {
+        let from = from.add(PIXEL * STRIDE * LANES);
         let [a, b] = from.cast::<[u16; 2]>().read_unaligned();
         [(f32_from_bf16(a), f32_from_bf16(b)); LANES]
     }

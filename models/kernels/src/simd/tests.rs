@@ -109,7 +109,7 @@ impl Kernel for BrainFloats {
         unsafe {
             let (a, b) = (
                 S::load_pairs(pairs.as_ptr()),
-                S::spread_pair(pairs.as_ptr().add(6)),
+                S::spread_pair::<0, 1>(pairs.as_ptr().add(6)),
             );
             S::store(sums.as_mut_ptr(), S::dot_add(S::splat(0.25), a, b));
         }
