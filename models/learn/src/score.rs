@@ -1,7 +1,8 @@
 //! Scores of depth sequences against exact truth, as every report of this crate takes them.
 
 use noctule_depth::{
-    Flow, MetricsError, Score, Size, SizeError, Step, edge_band, masked_mae, metrics, temporal_change,
+    Flow, MetricsError, Score, Size, SizeError, Step, edge_band, masked_mae, metrics,
+    temporal_change,
 };
 use noctule_world::STEPS;
 

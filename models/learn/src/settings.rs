@@ -29,6 +29,9 @@ pub struct Settings {
     /// Processor threads of the tensor library.
     #[serde(default = "one")]
     pub threads: usize,
+    /// Where the network trains: `cpu`, or `cuda:0` and so on in a build for GPUs.
+    #[serde(default = "default_device")]
+    pub device: String,
     /// Weights file to start from instead of random numbers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<PathBuf>,
@@ -239,6 +242,9 @@ pub struct Stage {
 const fn one() -> usize {
     1
 }
+fn default_device() -> String {
+    "cpu".to_owned()
+}
 const fn default_size() -> usize {
     256
 }
@@ -281,7 +287,11 @@ pub enum SettingsError {
     },
 }
 
-fn number(key: impl Into<String>, value: impl ToString, wanted: impl Into<String>) -> SettingsError {
+fn number(
+    key: impl Into<String>,
+    value: impl ToString,
+    wanted: impl Into<String>,
+) -> SettingsError {
     SettingsError::Number {
         key: key.into(),
         value: value.to_string(),
@@ -315,7 +325,8 @@ impl Settings {
     /// # Errors
     /// As there.
     pub fn from_toml(text: &str) -> Result<Self, SettingsError> {
-        let settings: Self = toml::from_str(text).map_err(|e| SettingsError::Toml(e.to_string()))?;
+        let settings: Self =
+            toml::from_str(text).map_err(|e| SettingsError::Toml(e.to_string()))?;
         settings.check()?;
         Ok(settings)
     }
@@ -333,6 +344,18 @@ impl Settings {
         Ok(Config::member(&self.member)?
             .with_steps(STEPS)
             .with_variant(self.variant))
+    }
+
+    /// Number of the GPU to train on; `None` for the processor.
+    ///
+    /// # Errors
+    /// [`SettingsError::Number`] for any other word.
+    pub fn gpu(&self) -> Result<Option<usize>, SettingsError> {
+        match self.device.strip_prefix("cuda:").map(str::parse) {
+            Some(Ok(index)) => Ok(Some(index)),
+            None if self.device == "cpu" => Ok(None),
+            _ => Err(number("device", &self.device, "cpu, cuda:0, cuda:1, ...")),
+        }
     }
 
     /// The drives to train on.
@@ -359,6 +382,7 @@ impl Settings {
         if !(0.0..1.0).contains(&self.average) {
             return Err(number("average", self.average, "0 to below 1"));
         }
+        self.gpu()?;
         self.check_data()?;
         self.augment.check()?;
         self.loss.check()?;
@@ -385,7 +409,11 @@ impl Settings {
             return Err(number("data.loaders", data.loaders, "1 to 64"));
         }
         check_drives("data.train", &data.train, 0..VALIDATION_SEEDS)?;
-        check_drives("data.validation", &data.validation, VALIDATION_SEEDS..TEST_SEEDS)
+        check_drives(
+            "data.validation",
+            &data.validation,
+            VALIDATION_SEEDS..TEST_SEEDS,
+        )
     }
 }
 
@@ -421,7 +449,11 @@ fn check_drives(key: &str, drives: &[Drives], allowed: Range<u64>) -> Result<(),
         };
         if nights[..index].iter().any(overlaps) {
             let value = format!("{start}..{end}");
-            return Err(number(format!("{key}[{index}].seeds"), value, "no seed twice in a tier"));
+            return Err(number(
+                format!("{key}[{index}].seeds"),
+                value,
+                "no seed twice in a tier",
+            ));
         }
     }
     Ok(())
@@ -433,12 +465,20 @@ impl Augment {
         share("augment.event_drop_max", self.event_drop_max)?;
         share("augment.return_drop_max", self.return_drop_max)?;
         if !(0.0..=10.0).contains(&self.event_noise_max) {
-            return Err(number("augment.event_noise_max", self.event_noise_max, "0 to 10"));
+            return Err(number(
+                "augment.event_noise_max",
+                self.event_noise_max,
+                "0 to 10",
+            ));
         }
         let [low, high] = self.gain;
         if !(low > 0.0 && low <= high && high <= 100.0) {
             let value = format!("[{low}, {high}]");
-            return Err(number("augment.gain", value, "two factors above 0, up to 100, in order"));
+            return Err(number(
+                "augment.gain",
+                value,
+                "two factors above 0, up to 100, in order",
+            ));
         }
         Ok(())
     }
@@ -457,7 +497,10 @@ impl Loss {
             ("log_depth", self.log_depth),
             ("depth_edges", self.depth_edges),
         ];
-        match weights.iter().find(|(_, weight)| !(0.0..=1e3).contains(weight)) {
+        match weights
+            .iter()
+            .find(|(_, weight)| !(0.0..=1e3).contains(weight))
+        {
             Some((key, value)) => Err(number(format!("loss.{key}"), value, "0 to 1000")),
             None => Ok(()),
         }
@@ -485,11 +528,22 @@ impl Stage {
             let value = format!("[{start}, {end}]");
             return Err(number(key("rate"), value, "two rates up to 1, not rising"));
         }
-        if self.clip_norm.is_some_and(|norm| norm.is_nan() || norm <= 0.0) {
-            return Err(number(key("clip_norm"), format!("{:?}", self.clip_norm), "above 0"));
+        if self
+            .clip_norm
+            .is_some_and(|norm| norm.is_nan() || norm <= 0.0)
+        {
+            return Err(number(
+                key("clip_norm"),
+                format!("{:?}", self.clip_norm),
+                "above 0",
+            ));
         }
         if self.validate_every == 0 || self.checkpoint_every == 0 {
-            return Err(number(key("validate_every"), 0, "1 or more, as checkpoint_every"));
+            return Err(number(
+                key("validate_every"),
+                0,
+                "1 or more, as checkpoint_every",
+            ));
         }
         share(&key("collapse_margin"), self.collapse_margin)
     }

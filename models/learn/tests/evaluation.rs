@@ -70,7 +70,15 @@ fn by_hand(pred: &[f32], truth: &[f32]) -> Option<(f64, f64)> {
 fn the_baselines_have_the_errors_that_a_plain_loop_finds() {
     let rows = run(&mut Method::baselines(), Share::WHOLE).rows();
     let names: Vec<&str> = rows.iter().map(|row| row.method.as_str()).collect();
-    assert_eq!(names, ["nearest", "fill", "median constant", "truth of step 1 reused"]);
+    assert_eq!(
+        names,
+        [
+            "nearest",
+            "fill",
+            "median constant",
+            "truth of step 1 reused"
+        ]
+    );
     let (mut nearest, mut reused) = (Vec::new(), Vec::new());
     let mut completer = Completer::new(SIDE, SIDE).unwrap();
     let (mut map, mut aside) = (vec![0.0; AREA], vec![0.0; AREA]);
@@ -92,8 +100,16 @@ fn the_baselines_have_the_errors_that_a_plain_loop_finds() {
         let mae = expected.iter().map(|e| e.0).sum::<f64>() / count;
         let rmse = expected.iter().map(|e| e.1).sum::<f64>() / count;
         assert_eq!(row.images, expected.len() as u64);
-        assert!((row.mae_mm - mae).abs() < 1e-6 * mae, "{} {mae}", row.mae_mm);
-        assert!((row.rmse_mm - rmse).abs() < 1e-6 * rmse, "{} {rmse}", row.rmse_mm);
+        assert!(
+            (row.mae_mm - mae).abs() < 1e-6 * mae,
+            "{} {mae}",
+            row.mae_mm
+        );
+        assert!(
+            (row.rmse_mm - rmse).abs() < 1e-6 * rmse,
+            "{} {rmse}",
+            row.rmse_mm
+        );
     }
     // The truth of the first step is exact there and worse later.
     let steps = &rows[3].per_step;
@@ -112,7 +128,9 @@ fn parts_merge_to_exactly_the_whole() {
     let mut merged = Scores::default();
     for part in ["1/2", "0/2"] {
         let part = run(&mut methods, part.parse().unwrap());
-        merged.merge_csv(&part.per_image_csv(), Path::new("part.csv")).unwrap();
+        merged
+            .merge_csv(&part.per_image_csv(), Path::new("part.csv"))
+            .unwrap();
     }
     assert_eq!(timeless(merged.rows()), timeless(whole.rows()));
     let again = merged.merge_csv(&whole.per_image_csv(), Path::new("whole.csv"));
@@ -125,11 +143,19 @@ fn parts_merge_to_exactly_the_whole() {
 #[test]
 fn a_damaged_table_is_named_with_its_line() {
     let text = run(&mut Method::baselines(), "0/3".parse().unwrap()).per_image_csv();
-    let merge = |text: &str| Scores::default().merge_csv(text, Path::new("t.csv")).unwrap_err();
+    let merge = |text: &str| {
+        Scores::default()
+            .merge_csv(text, Path::new("t.csv"))
+            .unwrap_err()
+    };
     let error = merge("a,b\n").to_string();
     assert_eq!(error, "t.csv, line 1: is no table of single images");
     let short = text.replacen(",B:200003,", ",", 1);
-    assert!(merge(&short).to_string().contains("line 2: 16 columns"), "{}", merge(&short));
+    assert!(
+        merge(&short).to_string().contains("line 2: 16 columns"),
+        "{}",
+        merge(&short)
+    );
     let words = text.replacen("\"nearest\",0,", "\"nearest\",zero,", 1);
     assert!(merge(&words).to_string().contains("zero is no number"));
 }
@@ -146,9 +172,16 @@ fn what_is_withheld_is_not_seen() {
     assert_eq!(rows.len(), 4);
     for (i, a) in rows.iter().enumerate() {
         assert!(a.params > 10_000 && a.gmac > 0.1);
-        assert!(rows[i + 1..].iter().all(|b| b.rmse_mm != a.rmse_mm), "{}", a.method);
+        assert!(
+            rows[i + 1..].iter().all(|b| b.rmse_mm != a.rmse_mm),
+            "{}",
+            a.method
+        );
     }
-    assert!(rows[3].mae_mm > rows[0].mae_mm, "depth without LiDAR is a guess");
+    assert!(
+        rows[3].mae_mm > rows[0].mae_mm,
+        "depth without LiDAR is a guess"
+    );
 }
 
 #[test]
@@ -158,7 +191,17 @@ fn tables_have_a_line_per_method() {
     assert_eq!(lines(&markdown(&rows)), 2 + 4);
     assert_eq!(lines(&csv(&rows)), 1 + 4 * 9);
     let json = serde_json::to_value(&rows[0]).unwrap();
-    for key in ["method", "rmse_mm", "mae_mm", "irmse_per_km", "rel", "delta1", "edge_mae_mm", "mover_mae_mm", "thin_mae_mm"] {
+    for key in [
+        "method",
+        "rmse_mm",
+        "mae_mm",
+        "irmse_per_km",
+        "rel",
+        "delta1",
+        "edge_mae_mm",
+        "mover_mae_mm",
+        "thin_mae_mm",
+    ] {
         assert!(json.get(key).is_some(), "{key}");
     }
     assert_eq!(json["per_step"].as_array().unwrap().len(), 8);
@@ -183,10 +226,20 @@ impl Scenes for Broken {
 fn a_scene_that_does_not_fit_is_named() {
     let stop = AtomicBool::new(false);
     let run = |scenes: &dyn Scenes, stop: &AtomicBool| {
-        evaluate(scenes, &mut Method::baselines(), Share::WHOLE, stop, &mut |_, _| {}).unwrap_err()
+        evaluate(
+            scenes,
+            &mut Method::baselines(),
+            Share::WHOLE,
+            stop,
+            &mut |_, _| {},
+        )
+        .unwrap_err()
     };
     let error = run(&Broken, &stop).to_string();
-    assert!(error.contains("B:200003: voxel has 40959 values, wanted 40960"), "{error}");
+    assert!(
+        error.contains("B:200003: voxel has 40959 values, wanted 40960"),
+        "{error}"
+    );
     stop.store(true, std::sync::atomic::Ordering::Relaxed);
     assert!(matches!(run(&scenes(), &stop), EvalError::Interrupted));
     let weights = Weights::initial(&Config::tiny(), 3, &Device::Cpu).unwrap();
@@ -195,5 +248,8 @@ fn a_scene_that_does_not_fit_is_named() {
     weights.write(&path).unwrap();
     let steps = Method::network("tiny", &path, Withheld::default(), PlanOptions::default());
     let error = steps.err().unwrap().to_string();
-    assert_eq!(error, "tiny makes 3 depth maps per exposure, the data have 8");
+    assert_eq!(
+        error,
+        "tiny makes 3 depth maps per exposure, the data have 8"
+    );
 }

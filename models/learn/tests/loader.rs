@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use noctule_learn::{
-    Augment, Batch, Cache, CacheError, Example, Kind, Loader, Loss, Nights, Recipe, SHARD_LEN, Stage,
+    Augment, Batch, Cache, CacheError, Example, Kind, Loader, Loss, Nights, Recipe, SHARD_LEN,
+    Stage,
 };
 use noctule_world::Tier;
 
@@ -98,7 +99,10 @@ fn what_is_on_disk_is_not_rendered_again_and_a_stop_keeps_it() {
         .prepare(&many, &go_on, &mut |now| last = Some(now))
         .unwrap();
     let last = last.unwrap();
-    assert_eq!((last.rendered, last.done, last.total), (2, SHARD_LEN + 2, SHARD_LEN + 2));
+    assert_eq!(
+        (last.rendered, last.done, last.total),
+        (2, SHARD_LEN + 2, SHARD_LEN + 2)
+    );
     cache.open(&many).unwrap();
 }
 
@@ -116,7 +120,10 @@ fn a_damaged_shard_is_named() {
     let mut damaged = bytes;
     damaged[..8].copy_from_slice(&u64::MAX.to_le_bytes());
     std::fs::write(&path, &damaged).unwrap();
-    assert!(matches!(cache.open(&nights()), Err(CacheError::Shard { .. })));
+    assert!(matches!(
+        cache.open(&nights()),
+        Err(CacheError::Shard { .. })
+    ));
 }
 
 #[test]
@@ -152,7 +159,13 @@ fn an_unvaried_batch_is_the_example() {
     let tier = letter.to_string().parse().unwrap();
     let example = Example::render(seed, tier, SIZE).unwrap();
     let first = |tensor: &candle_core::Tensor| -> Vec<f32> {
-        tensor.get(0).unwrap().flatten_all().unwrap().to_vec1().unwrap()
+        tensor
+            .get(0)
+            .unwrap()
+            .flatten_all()
+            .unwrap()
+            .to_vec1()
+            .unwrap()
     };
     assert_eq!(first(&inputs.sparse), example.sparse);
     let codes: Vec<f32> = example.blur.iter().map(|&b| f32::from(b) / 255.0).collect();
@@ -162,8 +175,15 @@ fn an_unvaried_batch_is_the_example() {
     assert_eq!(first(&inputs.depth), truth);
     // Every event weighs a tenth in all; nothing is clamped in so small a picture unless dense.
     let total: f32 = first(&inputs.voxel).iter().sum();
-    let signed: i32 = example.events.iter().map(|e| if e.is_on() { 1 } else { -1 }).sum();
-    assert!((total - signed as f32 / 10.0).abs() < 2.0, "{total} {signed}");
+    let signed: i32 = example
+        .events
+        .iter()
+        .map(|e| if e.is_on() { 1 } else { -1 })
+        .sum();
+    assert!(
+        (total - signed as f32 / 10.0).abs() < 2.0,
+        "{total} {signed}"
+    );
     assert!(inputs.pictures.is_none() && inputs.edges.is_some());
 }
 
@@ -190,6 +210,9 @@ fn losing_events_and_returns_loses_them() {
             .fold((0, 0), |(a, b), (c, d)| (a + c, b + d))
     };
     let (all, some) = (count(&plain), count(&varied));
-    assert!(some.0 * 10 < all.0 * 9 && some.1 * 10 < all.1 * 9, "{some:?} of {all:?}");
+    assert!(
+        some.0 * 10 < all.0 * 9 && some.1 * 10 < all.1 * 9,
+        "{some:?} of {all:?}"
+    );
     assert!(some.0 > 0 && some.1 > 0);
 }

@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 
 use candle_core::{Device, Tensor, Var};
 use noctule_erunet::{Config, Network, Norms, Pass, Role, Weights, fixture_config, slots};
-use noctule_learn::{
-    Domain, Inputs, Kind, Loss, Pictures, batch_loss, depth_loss, picture_loss,
-};
+use noctule_learn::{Domain, Inputs, Kind, Loss, Pictures, batch_loss, depth_loss, picture_loss};
 
 struct Fixture {
     config: Config,
@@ -112,7 +110,13 @@ fn gradients_are_the_references_in_every_stage() {
         let fixture = fixture(name);
         for (prefix, kind) in kinds {
             let (vars, network) = trainable(&fixture, kind);
-            let loss = batch_loss(&network, kind, &inputs(&fixture), &weights(), &mut Pass::plain());
+            let loss = batch_loss(
+                &network,
+                kind,
+                &inputs(&fixture),
+                &weights(),
+                &mut Pass::plain(),
+            );
             let gradients = loss.unwrap().total.backward().unwrap();
             let mut compared = 0;
             for (key, wanted) in &fixture.gradients {
@@ -123,7 +127,10 @@ fn gradients_are_the_references_in_every_stage() {
                 let wanted = values(wanted);
                 let scale = wanted.iter().fold(0f32, |scale, w| scale.max(w.abs()));
                 for (g, w) in ours.iter().zip(&wanted) {
-                    assert!((g - w).abs() <= 1e-3 * scale, "{name} {prefix}{key}: {g} {w}");
+                    assert!(
+                        (g - w).abs() <= 1e-3 * scale,
+                        "{name} {prefix}{key}: {g} {w}"
+                    );
                 }
                 compared += 1;
             }
@@ -166,6 +173,12 @@ fn blurring_again_in_light_differs_from_averaging_codes() {
         let loss = picture_loss(sharp, sharp, &inputs.blur, grey, &weights).unwrap();
         loss.reblur.to_scalar::<f32>().unwrap()
     };
-    assert!(reblur(Domain::Encoded) < 1e-6, "codes average to the fixture's blur");
-    assert!(reblur(Domain::Linear) > 1e-3, "light averages to something brighter");
+    assert!(
+        reblur(Domain::Encoded) < 1e-6,
+        "codes average to the fixture's blur"
+    );
+    assert!(
+        reblur(Domain::Linear) > 1e-3,
+        "light averages to something brighter"
+    );
 }

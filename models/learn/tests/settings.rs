@@ -72,20 +72,45 @@ fn each_wrong_number_is_named() {
         ("\"xs\"", "\"xl\"", "xl"),
         ("\"A\"", "\"Z\"", "tier is \"Z\""),
         ("steps = 10", "steps = 0", "stages[0].steps is 0"),
-        ("crop = 128", "crop = 120", "stages[0].crop is 120, wanted a multiple of 16 up to 256"),
+        (
+            "crop = 128",
+            "crop = 120",
+            "stages[0].crop is 120, wanted a multiple of 16 up to 256",
+        ),
         ("crop = 128", "crop = 512", "stages[0].crop is 512"),
-        ("window = 4", "window = 9", "stages[0].window is 9, wanted 1 to 8"),
+        (
+            "window = 4",
+            "window = 9",
+            "stages[0].window is 9, wanted 1 to 8",
+        ),
         ("batch = 4", "batch = 0", "stages[0].batch is 0"),
         ("[1e-3, 1e-5]", "[1e-5, 1e-3]", "not rising"),
         ("[1e-3, 1e-5]", "[nan, 1e-5]", "stages[0].rate"),
         ("validate_every = 5", "validate_every = 0", "validate_every"),
         ("seed = 1", "seed = 1\naverage = 1.0", "average is 1"),
         ("seed = 1", "seed = 1\nthreads = 0", "threads is 0"),
+        (
+            "seed = 1",
+            "seed = 1\ndevice = \"gpu\"",
+            "device is gpu, wanted cpu, cuda:0",
+        ),
         ("seed = 1", "sede = 1", "sede"),
         ("kind = \"2\"", "kind = \"4\"", "4"),
-        ("[[stages]]", "[loss]\nssim = -1.0\n[[stages]]", "loss.ssim is -1"),
-        ("[[stages]]", "[augment]\nflip = 1.5\n[[stages]]", "augment.flip is 1.5"),
-        ("[[stages]]", "[augment]\ngain = [2.0, 1.0]\n[[stages]]", "augment.gain"),
+        (
+            "[[stages]]",
+            "[loss]\nssim = -1.0\n[[stages]]",
+            "loss.ssim is -1",
+        ),
+        (
+            "[[stages]]",
+            "[augment]\nflip = 1.5\n[[stages]]",
+            "augment.flip is 1.5",
+        ),
+        (
+            "[[stages]]",
+            "[augment]\ngain = [2.0, 1.0]\n[[stages]]",
+            "augment.gain",
+        ),
     ] {
         let error = error(from, to);
         assert!(error.contains(text), "{to}: {error}");

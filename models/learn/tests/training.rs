@@ -76,7 +76,10 @@ fn open(settings: &Settings, start: Start) -> Result<Run, TrainError> {
 }
 
 /// Trains until done or until `stop_at` changes; returns losses and validations.
-fn train(run: &mut Run, stop_at: Option<u64>) -> (Vec<f64>, Vec<Validation>, Result<(), TrainError>) {
+fn train(
+    run: &mut Run,
+    stop_at: Option<u64>,
+) -> (Vec<f64>, Vec<Validation>, Result<(), TrainError>) {
     let stop = AtomicBool::new(false);
     let (mut losses, mut validations) = (Vec::new(), Vec::new());
     let outcome = run.train(&stop, &mut |report| match report {
@@ -111,7 +114,10 @@ fn a_run_stopped_anywhere_goes_on_to_the_same_bits() {
     // In stage 1; at its end, where a validation is due; in stages 2 and 3.
     let stopped = root.path().join("stopped");
     let mut all = Vec::new();
-    for (sitting, stop_at) in [Some(2), Some(4), Some(7), Some(11), None].into_iter().enumerate() {
+    for (sitting, stop_at) in [Some(2), Some(4), Some(7), Some(11), None]
+        .into_iter()
+        .enumerate()
+    {
         let start = Start {
             resume: sitting > 0,
             ..start(stopped.clone())
@@ -136,7 +142,11 @@ fn a_run_stopped_anywhere_goes_on_to_the_same_bits() {
         assert!(read(&whole) == read(&stopped), "{file} differs");
     }
     for file in ["curves.csv", "validation.csv"] {
-        assert_eq!(table(&whole.join(file)), table(&stopped.join(file)), "{file}");
+        assert_eq!(
+            table(&whole.join(file)),
+            table(&stopped.join(file)),
+            "{file}"
+        );
     }
     for file in ["curves.png", "grid.png", "settings.toml"] {
         assert!(stopped.join(file).exists(), "{file}");
@@ -149,7 +159,10 @@ fn rows_after_the_checkpoint_are_dropped() {
     let root = tempfile::tempdir().unwrap();
     let settings = settings(root.path(), &three_stages());
     let folder = root.path().join("run");
-    let _ = train(&mut open(&settings, start(folder.clone())).unwrap(), Some(5));
+    let _ = train(
+        &mut open(&settings, start(folder.clone())).unwrap(),
+        Some(5),
+    );
     let before = table(&folder.join("curves.csv"));
     let text = fs::read_to_string(folder.join("curves.csv")).unwrap();
     let lost = "2,2,6,1e-3,1.0,1.0,,,0.1\n";
@@ -172,8 +185,13 @@ fn a_run_is_not_overwritten_and_not_resumed_with_other_settings() {
         ..start(folder.clone())
     };
     let nothing = open(&ours, resume.clone()).err().unwrap();
-    assert!(matches!(nothing, TrainError::NothingToResume(_)), "{nothing}");
-    train(&mut open(&ours, start(folder.clone())).unwrap(), None).2.unwrap();
+    assert!(
+        matches!(nothing, TrainError::NothingToResume(_)),
+        "{nothing}"
+    );
+    train(&mut open(&ours, start(folder.clone())).unwrap(), None)
+        .2
+        .unwrap();
     let exists = open(&ours, start(folder.clone())).err().unwrap();
     assert!(matches!(exists, TrainError::Exists(_)), "{exists}");
     let mut other = ours.clone();
@@ -198,7 +216,10 @@ fn a_collapsed_first_stage_ends_the_run() {
     let Err(TrainError::Collapsed { share, spread, .. }) = outcome else {
         panic!("{outcome:?}");
     };
-    assert!((share - 1.0).abs() < 1e-3 && spread < 1e-4, "{share} {spread}");
+    assert!(
+        (share - 1.0).abs() < 1e-3 && spread < 1e-4,
+        "{share} {spread}"
+    );
     let pictures = validations.last().unwrap().pictures.unwrap();
     assert!(pictures.blurred > 0.0 && (pictures.share() - share).abs() < 1e-12);
     // Told to go on, it goes on.
@@ -260,8 +281,10 @@ fn one_exposure_is_learnt_by_heart() {
     settings.data.train[0].seeds = [7, 8];
     settings.augment = noctule_learn::Augment::default();
     settings.average = 0.0;
-    let (losses, _, outcome) =
-        train(&mut open(&settings, start(root.path().join("run"))).unwrap(), None);
+    let (losses, _, outcome) = train(
+        &mut open(&settings, start(root.path().join("run"))).unwrap(),
+        None,
+    );
     outcome.unwrap();
 
     let example = Example::render(7, Tier::A, 32).unwrap();
@@ -274,7 +297,13 @@ fn one_exposure_is_learnt_by_heart() {
         completer.nearest(sparse, map, &mut aside).unwrap();
     }
     let nearest = Tensor::from_vec(nearest, (1, STEPS, 1, 32, 32), &Device::Cpu).unwrap();
-    let loss = depth_loss(&nearest, &inputs.depth, &inputs.sparse, None, &Loss::default());
+    let loss = depth_loss(
+        &nearest,
+        &inputs.depth,
+        &inputs.sparse,
+        None,
+        &Loss::default(),
+    );
     let nearest = f64::from(loss.unwrap().total.to_scalar::<f32>().unwrap());
     let ours = losses[losses.len() - 1];
     println!("first {}, last {ours}, nearest {nearest}", losses[0]);

@@ -1,7 +1,9 @@
 //! One example cut out, varied at random and rastered, as it enters a batch.
 
 use noctule_depth::{Size, edge_band};
-use noctule_raster::{BINS, Exposure, Grid, PackedEvent, PixelMap, RasterError, Rescale, VoxelRaster};
+use noctule_raster::{
+    BINS, Exposure, Grid, PackedEvent, PixelMap, RasterError, Rescale, VoxelRaster,
+};
 use noctule_world::STEPS;
 
 use crate::cache::Example;
@@ -147,10 +149,17 @@ impl Cutter {
         let size = example.size;
         let (first, count) = cut.window;
         let area = self.side * self.side;
-        let steps = |planes: usize| first * planes * size * size..(first + count) * planes * size * size;
+        let steps =
+            |planes: usize| first * planes * size * size..(first + count) * planes * size * size;
         let brighten = (cut.gain as f32).powf(1.0 / GAMMA);
         let shade = |code: u8| (f32::from(code) / 255.0 * brighten).min(1.0);
-        let known = |depth: f32| if depth <= self.depth_max_m { depth } else { 0.0 };
+        let known = |depth: f32| {
+            if depth <= self.depth_max_m {
+                depth
+            } else {
+                0.0
+            }
+        };
 
         let events = self.events(example, cut, chance);
         let exposure = Exposure::from_micros(0, u64::from(example.exposure_us))?;
@@ -205,7 +214,10 @@ impl Cutter {
         let made_up = (cut.event_noise * f64::from(side * side)).round() as usize;
         for _ in 0..made_up {
             let t_us = chance.below(example.exposure_us.max(1) as usize) as u32;
-            let at = (chance.below(self.side) as u32, chance.below(self.side) as u32);
+            let at = (
+                chance.below(self.side) as u32,
+                chance.below(self.side) as u32,
+            );
             events.extend(pack(t_us, at, chance.happens(0.5)));
         }
         events
@@ -219,7 +231,9 @@ impl Cutter {
             .chunks_exact(area)
             .flat_map(|depth| {
                 edge_band(depth, size, &mut band).expect("lengths are equal");
-                band.iter().map(|&near| f32::from(u8::from(near))).collect::<Vec<_>>()
+                band.iter()
+                    .map(|&near| f32::from(u8::from(near)))
+                    .collect::<Vec<_>>()
             })
             .collect()
     }
@@ -231,7 +245,8 @@ fn event_sums(events: &[PackedEvent], exposure_us: u32, side: usize) -> Vec<f32>
     let mut sums = vec![0.0f32; STEPS * area];
     for event in events {
         // Step k's centre lies at (k + 1/2) / T of the exposure: the first one after the event.
-        let step = (u64::from(event.t_us) * 2 * STEPS as u64 / u64::from(exposure_us.max(1)) + 1) / 2;
+        let step =
+            (u64::from(event.t_us) * 2 * STEPS as u64 / u64::from(exposure_us.max(1)) + 1) / 2;
         if let Ok(step @ 0..STEPS) = usize::try_from(step) {
             let cell = event.y() as usize * side + event.x() as usize;
             sums[step * area + cell] += if event.is_on() { 1.0 } else { -1.0 };
@@ -252,7 +267,9 @@ fn event_grey(blur: &[f32], sums: &[f32], domain: Domain, contrast: f32) -> Vec<
     };
     let mut grey = vec![0.0; sums.len()];
     for cell in 0..area {
-        let mean: f32 = (0..3).map(|c| GREY[c] * decode(blur[c * area + cell])).sum();
+        let mean: f32 = (0..3)
+            .map(|c| GREY[c] * decode(blur[c * area + cell]))
+            .sum();
         let rise = |step: usize| (contrast * sums[step * area + cell]).exp();
         let total = (0..STEPS).map(rise).sum::<f32>() / STEPS as f32;
         for step in 0..STEPS {

@@ -18,8 +18,8 @@ use thiserror::Error;
 use crate::cache::{CacheError, Example, Examples, write_whole};
 use crate::chance::Chance;
 use crate::settings::{Augment, Domain, Kind, Loss, Stage};
-pub(crate) use cut::{GAMMA, GREY};
 use cut::{Cut, Cutter, Piece, Wanted};
+pub(crate) use cut::{GAMMA, GREY};
 pub use loader::Loader;
 use order::Order;
 
@@ -168,7 +168,9 @@ impl Batch {
         };
         let views = given
             .iter()
-            .map(|(name, shape, bytes)| Ok((*name, TensorView::new(Dtype::F32, shape.clone(), bytes)?)))
+            .map(|(name, shape, bytes)| {
+                Ok((*name, TensorView::new(Dtype::F32, shape.clone(), bytes)?))
+            })
             .collect::<Result<Vec<_>, _>>()
             .map_err(shard)?;
         let about = format!(

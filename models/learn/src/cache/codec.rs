@@ -152,7 +152,11 @@ pub(super) fn pack_mask(mask: &[bool]) -> Vec<u8> {
 /// The inverse of [`pack_mask`] for `len` pixels.
 pub(super) fn unpack_mask(bytes: &[u8], len: usize) -> Option<Vec<bool>> {
     let packed = inflate(bytes, len.div_ceil(8))?;
-    Some((0..len).map(|i| packed[i / 8] >> (i % 8) & 1 != 0).collect())
+    Some(
+        (0..len)
+            .map(|i| packed[i / 8] >> (i % 8) & 1 != 0)
+            .collect(),
+    )
 }
 
 #[cfg(test)]

@@ -87,7 +87,8 @@ impl Cache {
     fn path(&self, nights: &Nights) -> PathBuf {
         let Range { start, end } = nights.seeds;
         let letter = nights.tier.letter();
-        self.folder.join(format!("{letter}-{start:06}-{end:06}.safetensors"))
+        self.folder
+            .join(format!("{letter}-{start:06}-{end:06}.safetensors"))
     }
 
     /// Renders what is missing, a shard at a time, on the current rayon pool. Tiers take turns, so
@@ -105,13 +106,19 @@ impl Cache {
             path: self.folder.clone(),
             source,
         })?;
-        let mut queues: Vec<_> = nights.iter().map(|n| n.shards().collect::<Vec<_>>()).collect();
+        let mut queues: Vec<_> = nights
+            .iter()
+            .map(|n| n.shards().collect::<Vec<_>>())
+            .collect();
         let longest = queues.iter().map(Vec::len).max().unwrap_or(0);
         queues.iter_mut().for_each(|queue| queue.reverse());
         let mut state = Prepared {
             done: 0,
             rendered: 0,
-            total: nights.iter().map(|n| n.seeds.end.saturating_sub(n.seeds.start)).sum(),
+            total: nights
+                .iter()
+                .map(|n| n.seeds.end.saturating_sub(n.seeds.start))
+                .sum(),
         };
         for _ in 0..longest {
             for shard in queues.iter_mut().filter_map(Vec::pop) {
@@ -159,7 +166,9 @@ impl Cache {
         for shard in nights.iter().flat_map(Nights::shards) {
             let index = examples.shards.len();
             let path = self.path(&shard);
-            examples.shards.push(Shard::open(&path, shard.tier, self.size)?);
+            examples
+                .shards
+                .push(Shard::open(&path, shard.tier, self.size)?);
             for seed in shard.seeds {
                 examples.by_key.insert((shard.tier.letter(), seed), index);
                 examples.places.push((shard.tier, seed));
@@ -234,5 +243,8 @@ pub fn generator() -> String {
         }
     }
     let digest = hash.finalize();
-    digest[..6].iter().map(|byte| format!("{byte:02x}")).collect()
+    digest[..6]
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
 }

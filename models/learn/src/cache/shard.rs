@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use noctule_raster::PackedEvent;
 use noctule_world::{STEPS, Tier};
-use safetensors::tensor::{Metadata, TensorView};
 use safetensors::Dtype;
+use safetensors::tensor::{Metadata, TensorView};
 
 use super::codec;
 use super::error::CacheError;
@@ -27,7 +27,8 @@ pub(super) fn write(path: &Path, examples: &[Example]) -> Result<(), CacheError>
         let mut field = |name: &str, dtype, shape: Vec<usize>, bytes: Vec<u8>| {
             fields.push((format!("{}.{name}", example.seed), dtype, shape, bytes));
         };
-        let mut packed = |name: &str, bytes: Vec<u8>| field(name, Dtype::U8, vec![bytes.len()], bytes);
+        let mut packed =
+            |name: &str, bytes: Vec<u8>| field(name, Dtype::U8, vec![bytes.len()], bytes);
         packed("events", codec::pack_events(&example.events));
         packed("depth", codec::pack_depth(&example.depth));
         packed("sharp", codec::pack_smooth(&example.sharp));
@@ -48,7 +49,10 @@ pub(super) fn write(path: &Path, examples: &[Example]) -> Result<(), CacheError>
     let views = fields
         .iter()
         .map(|(name, dtype, shape, bytes)| {
-            Ok((name.as_str(), TensorView::new(*dtype, shape.clone(), bytes)?))
+            Ok((
+                name.as_str(),
+                TensorView::new(*dtype, shape.clone(), bytes)?,
+            ))
         })
         .collect::<Result<Vec<_>, _>>()
         .map_err(fault)?;
@@ -107,18 +111,24 @@ impl Shard {
             fault,
         };
         if header > HEADER_BYTES_MAX {
-            return Err(fault(format!("header of {header} bytes, allowed {HEADER_BYTES_MAX}")));
+            return Err(fault(format!(
+                "header of {header} bytes, allowed {HEADER_BYTES_MAX}"
+            )));
         }
         let mut head = vec![0; header as usize];
         file.read_exact_at(&mut head, 8).map_err(in_file)?;
-        let metadata: Metadata =
-            serde_json::from_slice(&head).map_err(|e| fault(e.to_string()))?;
+        let metadata: Metadata = serde_json::from_slice(&head).map_err(|e| fault(e.to_string()))?;
         let bytes = file.metadata().map_err(in_file)?.len();
         let needed = 8 + header + metadata.data_len() as u64;
         if bytes != needed {
-            return Err(fault(format!("file has {bytes} bytes, its header says {needed}")));
+            return Err(fault(format!(
+                "file has {bytes} bytes, its header says {needed}"
+            )));
         }
-        let format = metadata.metadata().as_ref().and_then(|table| table.get("format"));
+        let format = metadata
+            .metadata()
+            .as_ref()
+            .and_then(|table| table.get("format"));
         if format.map(String::as_str) != Some(FORMAT) {
             return Err(fault(format!("format is {format:?}, wanted {FORMAT:?}")));
         }
@@ -187,7 +197,9 @@ impl Shard {
             seed,
             tier: self.tier,
             size: self.size,
-            exposure_us: *exposure_us.first().ok_or_else(|| self.fault("exposure_us"))?,
+            exposure_us: *exposure_us
+                .first()
+                .ok_or_else(|| self.fault("exposure_us"))?,
             blur,
             events,
             sparse: self.sparse(&name("return_cell"), &name("return_depth_m"), STEPS * area)?,

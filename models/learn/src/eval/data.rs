@@ -45,7 +45,8 @@ impl FromStr for DataSet {
                     .split_once(':')
                     .ok_or_else(|| wrong("world:TIER:FIRST..LAST"))?;
                 let tier: Tier = tier.parse().map_err(|_| wrong("tier A, B, C or S"))?;
-                let seeds = range(seeds).ok_or_else(|| wrong("seeds FIRST..LAST, FIRST below LAST"))?;
+                let seeds =
+                    range(seeds).ok_or_else(|| wrong("seeds FIRST..LAST, FIRST below LAST"))?;
                 Ok(Self::World(WorldScenes {
                     tier,
                     seeds,
@@ -171,7 +172,15 @@ mod tests {
         );
         let kitti = "kitti:/data/kitti:1".parse::<DataSet>().expect("right");
         assert_eq!(kitti, DataSet::Kitti("/data/kitti:1".into()));
-        for text in ["world", "world:B", "world:Q:1..2", "world:B:5..5", "world:B:1..x", "rec:", "x:1"] {
+        for text in [
+            "world",
+            "world:B",
+            "world:Q:1..2",
+            "world:B:5..5",
+            "world:B:1..x",
+            "rec:",
+            "x:1",
+        ] {
             let error = text.parse::<DataSet>().expect_err(text).to_string();
             assert!(error.contains(text), "{error}");
         }

@@ -149,16 +149,24 @@ impl Method {
 }
 
 fn by_truth(scene: &Scene, map: impl Fn(&[f32]) -> Vec<f32>) -> Vec<f32> {
-    scene.depth.chunks_exact(scene.size.pixels()).flat_map(map).collect()
+    scene
+        .depth
+        .chunks_exact(scene.size.pixels())
+        .flat_map(map)
+        .collect()
 }
 
-type Complete = fn(&mut Completer, &[f32], &mut [f32], &mut [f32]) -> Result<(), noctule_depth::SizeError>;
+type Complete =
+    fn(&mut Completer, &[f32], &mut [f32], &mut [f32]) -> Result<(), noctule_depth::SizeError>;
 
 fn by_step(scene: &Scene, complete: Complete) -> Result<Vec<f32>, EvalError> {
     let (size, area) = (scene.size, scene.size.pixels());
     let mut completer = Completer::new(size.width(), size.height())?;
     let (mut depth, mut aside) = (vec![0.0; STEPS * area], vec![0.0; area]);
-    for (map, sparse) in depth.chunks_exact_mut(area).zip(scene.sparse.chunks_exact(area)) {
+    for (map, sparse) in depth
+        .chunks_exact_mut(area)
+        .zip(scene.sparse.chunks_exact(area))
+    {
         complete(&mut completer, sparse, map, &mut aside)?;
     }
     Ok(depth)

@@ -59,9 +59,21 @@ impl Scene {
             ("voxel", self.voxel.len(), STEPS * BINS * area),
             ("sparse", self.sparse.len(), STEPS * area),
             ("depth", self.depth.len(), STEPS * area),
-            ("movers", self.movers.len(), optional(self.movers.len(), STEPS * area)),
-            ("thin", self.thin.len(), optional(self.thin.len(), STEPS * area)),
-            ("flow", self.flow.len(), optional(self.flow.len(), 2 * (STEPS - 1) * area)),
+            (
+                "movers",
+                self.movers.len(),
+                optional(self.movers.len(), STEPS * area),
+            ),
+            (
+                "thin",
+                self.thin.len(),
+                optional(self.thin.len(), STEPS * area),
+            ),
+            (
+                "flow",
+                self.flow.len(),
+                optional(self.flow.len(), 2 * (STEPS - 1) * area),
+            ),
         ] {
             if len != wanted {
                 return Err(EvalError::Scene {

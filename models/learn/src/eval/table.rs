@@ -166,7 +166,10 @@ impl Scores {
         for (number, line) in (2..).zip(text.lines().skip(1)) {
             let fields = split(line);
             if fields.len() != COLUMNS {
-                return Err(fault(number, &format!("{} columns, wanted {COLUMNS}", fields.len())));
+                return Err(fault(
+                    number,
+                    &format!("{} columns, wanted {COLUMNS}", fields.len()),
+                ));
             }
             self.take(&fields).map_err(|error| match error {
                 Taken::Damaged(column) => fault(number, &format!("{column} is no number")),
@@ -178,10 +181,14 @@ impl Scores {
 
     fn take(&mut self, fields: &[String]) -> Result<(), Taken> {
         let number = |column: usize| -> Result<f64, Taken> {
-            fields[column].parse().map_err(|_| Taken::Damaged(fields[column].clone()))
+            fields[column]
+                .parse()
+                .map_err(|_| Taken::Damaged(fields[column].clone()))
         };
         let whole = |column: usize| -> Result<u64, Taken> {
-            fields[column].parse().map_err(|_| Taken::Damaged(fields[column].clone()))
+            fields[column]
+                .parse()
+                .map_err(|_| Taken::Damaged(fields[column].clone()))
         };
         let optional = |column: usize| match fields[column].as_str() {
             "" => Ok(None),
@@ -243,10 +250,12 @@ impl MethodScores {
         score: Score,
         seconds: f64,
     ) -> Result<(), EvalError> {
-        self.table.insert(image, score).map_err(|source| EvalError::Twice {
-            method: self.method.clone(),
-            source,
-        })?;
+        self.table
+            .insert(image, score)
+            .map_err(|source| EvalError::Twice {
+                method: self.method.clone(),
+                source,
+            })?;
         self.about.insert(image, (scene.to_owned(), seconds));
         Ok(())
     }
@@ -298,7 +307,11 @@ pub fn markdown(rows: &[Row]) -> String {
     let write = "writing to a string cannot fail";
     for row in rows {
         let part = |part: Option<f64>| part.map_or("-".to_owned(), |v| format!("{v:.0}"));
-        let steps: Vec<String> = row.per_step.iter().map(|s| format!("{:.0}", s.mae_mm)).collect();
+        let steps: Vec<String> = row
+            .per_step
+            .iter()
+            .map(|s| format!("{:.0}", s.mae_mm))
+            .collect();
         writeln!(
             text,
             "| {} | {:.0} | {:.0} | {:.2} | {:.4} | {:.2} | {} | {} | {} | {} | {} | {} | {:.2} | {:.3} |",

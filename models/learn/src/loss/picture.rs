@@ -133,7 +133,9 @@ fn ssim(a: &Tensor, b: &Tensor) -> Result<Tensor> {
         let x = x.reshape((n * h, w))?.matmul(&columns)?;
         let x = x.reshape((n, h, ()))?.transpose(1, 2)?.contiguous()?;
         let narrow = x.dim(D::Minus2)?;
-        x.reshape((n * narrow, h))?.matmul(&rows)?.reshape((n, narrow, ()))
+        x.reshape((n * narrow, h))?
+            .matmul(&rows)?
+            .reshape((n, narrow, ()))
     };
     let (ma, mb) = (smooth(a)?, smooth(b)?);
     let (ma_sq, mb_sq, m_ab) = (ma.sqr()?, mb.sqr()?, (&ma * &mb)?);

@@ -79,14 +79,16 @@ impl Checkpoint {
         let views = fields
             .iter()
             .map(|(name, shape, bytes)| {
-                Ok((name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes)?))
+                Ok((
+                    name.as_str(),
+                    TensorView::new(Dtype::F32, shape.clone(), bytes)?,
+                ))
             })
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
             .map_err(|e| fault(e.to_string()))?;
         let place = serde_json::to_string(&self.place).map_err(|e| fault(e.to_string()))?;
         let table = HashMap::from([(STATE_KEY.to_owned(), place)]);
-        let bytes =
-            safetensors::serialize(views, Some(table)).map_err(|e| fault(e.to_string()))?;
+        let bytes = safetensors::serialize(views, Some(table)).map_err(|e| fault(e.to_string()))?;
         write_whole(path, &bytes).map_err(|source| TrainError::File {
             path: path.into(),
             source,
@@ -122,7 +124,9 @@ impl Checkpoint {
         for (name, view) in file.tensors() {
             let (words, rest) = view.data().as_chunks::<4>();
             if view.dtype() != Dtype::F32 || !rest.is_empty() {
-                return Err(fault(&format!("{name} does not hold single-precision numbers")));
+                return Err(fault(&format!(
+                    "{name} does not hold single-precision numbers"
+                )));
             }
             let values: Vec<f32> = words.iter().map(|word| f32::from_le_bytes(*word)).collect();
             let tensor = Tensor::from_vec(values, view.shape(), device)?;

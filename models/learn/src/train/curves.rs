@@ -57,7 +57,9 @@ impl Curves {
             shares: Vec::new(),
         };
         for row in keep_rows(&curves.steps, STEP_HEADER, 2, total)? {
-            curves.losses.push((number(&row, 2) as u64, number(&row, 4)));
+            curves
+                .losses
+                .push((number(&row, 2) as u64, number(&row, 4)));
         }
         for row in keep_rows(&curves.validations, VALIDATION_HEADER, 1, total)? {
             let shares = [3, 4, 5].map(|column| number(&row, column));
@@ -91,8 +93,18 @@ impl Curves {
         match found.depth {
             Some(d) => {
                 let score = d.score();
-                let parts = [score, d.rmse, d.mae, d.edge_mae, d.mover_mae, d.thin_mae, d.mae_mm];
-                parts.iter().for_each(|p| write!(line, ",{p:.5}").expect(write));
+                let parts = [
+                    score,
+                    d.rmse,
+                    d.mae,
+                    d.edge_mae,
+                    d.mover_mae,
+                    d.thin_mae,
+                    d.mae_mm,
+                ];
+                parts
+                    .iter()
+                    .for_each(|p| write!(line, ",{p:.5}").expect(write));
                 write!(line, ",{:.5}", d.last_over_first).expect(write);
                 self.shares.push((found.step, [d.rmse, d.mae, d.edge_mae]));
             }
@@ -121,11 +133,19 @@ impl Curves {
             .collect();
         let label = |value: f64| format!("{:.3}", 10f64.powf(value));
         panel(&mut canvas, 20, last, &[smooth], &label);
-        canvas.text(LEFT, PANEL + 18, 1, INK, "ERROR OVER NEAREST: RMSE, MAE, EDGE MAE");
+        canvas.text(
+            LEFT,
+            PANEL + 18,
+            1,
+            INK,
+            "ERROR OVER NEAREST: RMSE, MAE, EDGE MAE",
+        );
         let series: Vec<Vec<(u64, f64)>> = (0..3)
             .map(|i| self.shares.iter().map(|(step, s)| (*step, s[i])).collect())
             .collect();
-        panel(&mut canvas, PANEL + 30, last, &series, &|value| format!("{value:.3}"));
+        panel(&mut canvas, PANEL + 30, last, &series, &|value| {
+            format!("{value:.3}")
+        });
         Ok(canvas.save_png(&self.picture)?)
     }
 }
@@ -138,7 +158,13 @@ fn panel(
     series: &[Vec<(u64, f64)>],
     label: &dyn Fn(f64) -> String,
 ) {
-    let values = || series.iter().flatten().map(|(_, v)| *v).filter(|v| v.is_finite());
+    let values = || {
+        series
+            .iter()
+            .flatten()
+            .map(|(_, v)| *v)
+            .filter(|v| v.is_finite())
+    };
     let (low, high) = values().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
     let (width, height) = (WIDTH - LEFT - 20, PANEL - 40);
     canvas.rect(LEFT, top, 1, height, INK);
@@ -155,7 +181,10 @@ fn panel(
         (x, y)
     };
     for (line, colour) in series.iter().zip(LINES) {
-        for pair in line.windows(2).filter(|pair| pair.iter().all(|p| p.1.is_finite())) {
+        for pair in line
+            .windows(2)
+            .filter(|pair| pair.iter().all(|p| p.1.is_finite()))
+        {
             let ((x0, y0), (x1, y1)) = (place(&pair[0]), place(&pair[1]));
             let dots = (x1 - x0).abs().max((y1 - y0).abs()).ceil().max(1.0) as usize;
             for dot in 0..=dots {

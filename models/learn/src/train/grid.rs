@@ -47,26 +47,48 @@ impl Grid {
         index: usize,
         example: &Example,
         scene: &Scene,
-        pred: &[f32],
+        [pred, nearest]: [&[f32]; 2],
     ) -> Result<(), TrainError> {
         if !index.is_multiple_of(self.every) {
             return Ok(());
         }
         let area = self.size.pixels();
         let voxel = &scene.voxel[STEP * BINS * area..][..BINS * area];
-        let (sparse, truth) = (example.step(&example.sparse, STEP), example.step(&example.depth, STEP));
-        let pred = &pred[STEP * area..][..area];
+        let (sparse, truth) = (
+            example.step(&example.sparse, STEP),
+            example.step(&example.depth, STEP),
+        );
+        let [pred, nearest] = [pred, nearest].map(|maps| &maps[STEP * area..][..area]);
         let mut blur = vec![0; 3 * area];
         for (cell, pixel) in blur.chunks_exact_mut(3).enumerate() {
             pixel.copy_from_slice(&[0, 1, 2].map(|c| example.blur[c * area + cell]));
         }
         let tiles = vec![
             ("blurred", self.canvas(blur)?),
-            ("events", self.draw(|rgb| events_to_rgb(voxel, BINS, 1.0, rgb))?),
-            ("returns", self.draw(|rgb| sparse_to_rgb(sparse, self.size, 1, Scale::DRIVE, rgb))?),
-            ("depth", self.draw(|rgb| depth_to_rgb(pred, Scale::DRIVE, rgb))?),
-            ("truth", self.draw(|rgb| depth_to_rgb(truth, Scale::DRIVE, rgb))?),
-            ("error", self.draw(|rgb| error_to_rgb(pred, truth, ERROR_FULL_M, rgb))?),
+            (
+                "events",
+                self.draw(|rgb| events_to_rgb(voxel, BINS, 1.0, rgb))?,
+            ),
+            (
+                "returns",
+                self.draw(|rgb| sparse_to_rgb(sparse, self.size, 1, Scale::DRIVE, rgb))?,
+            ),
+            (
+                "nearest",
+                self.draw(|rgb| depth_to_rgb(nearest, Scale::DRIVE, rgb))?,
+            ),
+            (
+                "network",
+                self.draw(|rgb| depth_to_rgb(pred, Scale::DRIVE, rgb))?,
+            ),
+            (
+                "truth",
+                self.draw(|rgb| depth_to_rgb(truth, Scale::DRIVE, rgb))?,
+            ),
+            (
+                "error",
+                self.draw(|rgb| error_to_rgb(pred, truth, ERROR_FULL_M, rgb))?,
+            ),
         ];
         let label = format!("tier {}, seed {}", example.tier.letter(), example.seed);
         self.rows.push(Row { label, tiles });
@@ -83,7 +105,11 @@ impl Grid {
     }
 
     fn canvas(&self, rgb: Vec<u8>) -> Result<Canvas, TrainError> {
-        Ok(Canvas::from_rgb(self.size.width(), self.size.height(), rgb)?)
+        Ok(Canvas::from_rgb(
+            self.size.width(),
+            self.size.height(),
+            rgb,
+        )?)
     }
 
     /// Draws the sheet; nothing where no depth was validated.

@@ -28,8 +28,8 @@ use curves::Curves;
 pub use error::TrainError;
 use model::{Average, Model};
 pub use step::{BatchLoss, Beside, batch_loss};
-pub use validate::{DepthValidation, PictureValidation, Validation};
 use validate::Validator;
+pub use validate::{DepthValidation, PictureValidation, Validation};
 
 /// What a run tells while it works.
 #[derive(Debug)]
@@ -105,14 +105,22 @@ impl Run {
         {
             return Err(TrainError::NoStage(kind.name().into()));
         }
-        let checkpoint = open_folder(&settings, &start)?;
-        let device = Device::Cpu;
+        let device = match settings.gpu()? {
+            None => Device::Cpu,
+            Some(index) => Device::new_cuda(index)?,
+        };
+        let checkpoint = open_folder(&settings, &start, &device)?;
         let (model, average, adam, place) = match checkpoint {
             Some(found) => {
                 let weights = Weights::from_tensors(&config, found.weights, &device)?;
                 Weights::from_tensors(&config, found.average.clone(), &device)?;
                 let average = Average::from_tensors(found.average, settings.average);
-                (Model::new(&config, &weights)?, average, found.adam, found.place)
+                (
+                    Model::new(&config, &weights)?,
+                    average,
+                    found.adam,
+                    found.place,
+                )
             }
             None => {
                 let model = Model::new(&config, &first_weights(&settings, &device)?)?;
@@ -215,7 +223,11 @@ fn first_weights(settings: &Settings, device: &Device) -> Result<Weights, TrainE
 }
 
 /// Makes the folder, or reads the checkpoint in it.
-fn open_folder(settings: &Settings, start: &Start) -> Result<Option<Checkpoint>, TrainError> {
+fn open_folder(
+    settings: &Settings,
+    start: &Start,
+    device: &Device,
+) -> Result<Option<Checkpoint>, TrainError> {
     let folder = &start.folder;
     let path = folder.join(CHECKPOINT);
     if start.resume {
@@ -226,7 +238,7 @@ fn open_folder(settings: &Settings, start: &Start) -> Result<Option<Checkpoint>,
         if let Some(key) = first_difference(&before, settings) {
             return Err(TrainError::OtherSettings { key });
         }
-        return Checkpoint::read(&path, &Device::Cpu).map(Some);
+        return Checkpoint::read(&path, device).map(Some);
     }
     if path.exists() {
         return Err(TrainError::Exists(folder.clone()));
@@ -255,7 +267,7 @@ fn remove_if_there(path: &Path) -> std::io::Result<()> {
 fn first_difference(before: &Settings, now: &Settings) -> Option<String> {
     let neutral = |settings: &Settings| {
         let mut settings = settings.clone();
-        settings.threads = 1;
+        (settings.threads, settings.device) = (1, String::new());
         settings.data.loaders = 1;
         settings.data.cache = PathBuf::new();
         for stage in &mut settings.stages {

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use candle_core::{Device, Tensor, Var};
-use noctule_erunet::{Config, Network, NetworkError, Norms, Pass, Role, Weights, WeightsError, slots};
+use noctule_erunet::{
+    Config, Network, NetworkError, Norms, Pass, Role, Weights, WeightsError, slots,
+};
 
 use crate::settings::Kind;
 
@@ -26,7 +28,9 @@ impl Model {
             .iter()
             .map(|(name, tensor)| Ok((name.clone(), Var::from_tensor(&tensor.copy()?)?)))
             .collect::<candle_core::Result<_>>()?;
-        let roles = slots(config)?.into_iter().map(|slot| (slot.name, slot.role));
+        let roles = slots(config)?
+            .into_iter()
+            .map(|slot| (slot.name, slot.role));
         Ok(Self {
             config: config.clone(),
             device: weights.device(),
@@ -229,8 +233,14 @@ mod tests {
         let sparse = zeros(&[1, 3, 1, 16, 16]);
         let run = |pass: &mut Pass| -> Vec<f32> {
             let clear = network.restore(&blur, &voxel, pass).expect("fits");
-            let outputs = network.complete(&clear, &voxel, &sparse, pass).expect("fits");
-            outputs.depth.flatten_all().and_then(|d| d.to_vec1()).expect("values")
+            let outputs = network
+                .complete(&clear, &voxel, &sparse, pass)
+                .expect("fits");
+            outputs
+                .depth
+                .flatten_all()
+                .and_then(|d| d.to_vec1())
+                .expect("values")
         };
         let mut pass = Pass::training();
         run(&mut pass);
@@ -239,7 +249,10 @@ mod tests {
         let old: Vec<f32> = model.vars[name].to_vec1().expect("values");
         model.follow(&pass).expect("known");
         let new: Vec<f32> = model.vars[name].to_vec1().expect("values");
-        let (_, moments) = pass.moments().find(|(n, _)| *n == "rdu.bott.bn").expect("seen");
+        let (_, moments) = pass
+            .moments()
+            .find(|(n, _)| *n == "rdu.bott.bn")
+            .expect("seen");
         let seen: Vec<f32> = moments.mean.to_vec1().expect("values");
         for ((old, new), seen) in old.iter().zip(&new).zip(&seen) {
             assert!((new - (0.9 * old + 0.1 * seen)).abs() < 1e-6);
@@ -254,14 +267,19 @@ mod tests {
         let name = "rdu.head2.bias";
         let set = |value: f32| {
             let ones = model.vars[name].ones_like().expect("shape");
-            model.vars[name].set(&(ones * f64::from(value)).expect("values")).expect("fits");
+            model.vars[name]
+                .set(&(ones * f64::from(value)).expect("values"))
+                .expect("fits");
         };
         let held = |average: &Average| -> f32 {
             average.tensors()[name].to_vec1::<f32>().expect("values")[0]
         };
         set(1.0);
         average.take(&model, 1).expect("fits");
-        assert!((held(&average) - 0.9).abs() < 1e-6, "a tenth of the start is left");
+        assert!(
+            (held(&average) - 0.9).abs() < 1e-6,
+            "a tenth of the start is left"
+        );
         set(3.0);
         average.take(&model, 1000).expect("fits");
         assert!((held(&average) - 1.95).abs() < 1e-5);

@@ -68,7 +68,8 @@ pub fn batch_loss(
 }
 
 fn no_pictures() -> TrainError {
-    candle_core::Error::Msg("restoration trains on sharp pictures, and there are none".into()).into()
+    candle_core::Error::Msg("restoration trains on sharp pictures, and there are none".into())
+        .into()
 }
 
 /// Eq. 11 of `restored` `[B, n, 3, H, W]`, and of the blurred picture in its place.
@@ -89,7 +90,10 @@ fn restoration_loss(
         picture_loss(restored, sharp, &summed, grey, weights)
     };
     let loss = against_truth(restored)?;
-    let still = blur.unsqueeze(1)?.broadcast_as(restored.shape())?.contiguous()?;
+    let still = blur
+        .unsqueeze(1)?
+        .broadcast_as(restored.shape())?
+        .contiguous()?;
     let terms = [
         ("charbonnier", &loss.charbonnier),
         ("ssim", &loss.ssim),

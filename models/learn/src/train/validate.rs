@@ -165,7 +165,10 @@ impl Validator {
             pictures: Some(mean),
             depth: None,
         };
-        Ok(Some((validation, Grid::new(self.size, self.examples.len()))))
+        Ok(Some((
+            validation,
+            Grid::new(self.size, self.examples.len()),
+        )))
     }
 
     /// Depth, through the compiled plan that vehicles use.
@@ -193,7 +196,12 @@ impl Validator {
             let scene = Scene::of_example(&example)?;
             let pred = complete(&mut plan, &scene, Withheld::default())?;
             add(&mut table, index, &pred, &example, self.size)?;
-            grid.add(index, &example, &scene, &pred)?;
+            grid.add(
+                index,
+                &example,
+                &scene,
+                [&pred, &nearest(&example, self.size)?],
+            )?;
         }
         let mean = table.mean().ok_or_else(no_truth)?;
         let validation = Validation {
