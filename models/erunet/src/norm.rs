@@ -4,7 +4,8 @@ use candle_core::{D, Result, Tensor, bail};
 use noctule_kernels::Activation;
 
 use crate::blocks::activate;
-use crate::conv::{Conv, ConvShape};
+use crate::conv::{Conv, ConvShape, is_plain};
+use crate::norm_cpu::{NormCpu, Statistics, statistics};
 use crate::params::{Init, Norms, Params, Role};
 use crate::pass::{Moments, Pass};
 
@@ -52,6 +53,9 @@ impl BatchNorm {
         activation: Activation,
         pass: &mut Pass,
     ) -> Result<Tensor> {
+        if is_plain(x) && matches!(activation, Activation::None | Activation::Relu) {
+            return self.on_processor(&x.contiguous()?, residual, activation, pass);
+        }
         let (mean, variance) = self.batch_moments(x, pass)?;
         let (scale, shift) = affine(&self.weight, &self.bias, &mean, &variance)?;
         let per_channel = (1, (), 1, 1);
@@ -64,6 +68,34 @@ impl BatchNorm {
         activate(&y, activation)
     }
 
+    /// As [`BatchNorm::forward`], in one operation.
+    fn on_processor(
+        &self,
+        x: &Tensor,
+        residual: Option<&Tensor>,
+        activation: Activation,
+        pass: &mut Pass,
+    ) -> Result<Tensor> {
+        let Statistics { mean, variance } = statistics(x)?;
+        #[allow(
+            clippy::cast_possible_truncation,
+            reason = "rounding to single precision"
+        )]
+        let rstd = |variance: &f32| (1.0 / (f64::from(*variance) + NORM_EPSILON).sqrt()) as f32;
+        let op = NormCpu {
+            rstd: variance.iter().map(rstd).collect(),
+            mean: mean.clone(),
+            activation,
+        };
+        let per_channel = |values| Tensor::from_vec(values, x.dim(1)?, x.device());
+        self.collect(x, per_channel(mean)?, per_channel(variance)?, pass)?;
+        let factors = Tensor::cat(&[&self.weight, &self.bias], 0)?;
+        match residual {
+            None => x.apply_op2(&factors, op),
+            Some(residual) => x.apply_op3(&factors, &residual.contiguous()?, op),
+        }
+    }
+
     /// Mean and biased variance of `x` per channel; reports them to `pass`.
     fn batch_moments(&self, x: &Tensor, pass: &mut Pass) -> Result<(Tensor, Tensor)> {
         let channels = x.dim(1)?;
@@ -71,17 +103,17 @@ impl BatchNorm {
         let mean = rows.mean_keepdim(D::Minus1)?;
         let variance = rows.broadcast_sub(&mean)?.sqr()?.mean(D::Minus1)?;
         let mean = mean.squeeze(D::Minus1)?;
-        #[allow(clippy::cast_precision_loss, reason = "a pixel count fits a double")]
-        let count = rows.dim(1)? as f64;
-        let corrected = (variance.detach() * (count / (count - 1.0).max(1.0)))?;
-        pass.collect(
-            &self.name,
-            Moments {
-                mean: mean.detach(),
-                variance: corrected,
-            },
-        );
+        self.collect(x, mean.detach(), variance.detach(), pass)?;
         Ok((mean, variance))
+    }
+
+    /// Reports the statistics of `x`, the variance with Bessel's correction.
+    fn collect(&self, x: &Tensor, mean: Tensor, variance: Tensor, pass: &mut Pass) -> Result<()> {
+        #[allow(clippy::cast_precision_loss, reason = "a pixel count fits a double")]
+        let count = (x.elem_count() / x.dim(1)?) as f64;
+        let variance = (variance * (count / (count - 1.0).max(1.0)))?;
+        pass.collect(&self.name, Moments { mean, variance });
+        Ok(())
     }
 }
 
@@ -143,6 +175,76 @@ impl Normed {
                 bail!("batch statistics asked of a network built with folded norms")
             }
             None => self.conv.apply(sources, residual, activation),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{Device, Var};
+
+    use super::*;
+
+    fn pattern(shape: &[usize], salt: usize) -> Tensor {
+        let len: usize = shape.iter().product();
+        let values = (0..len)
+            .map(|i| ((i * 7919 + salt * 31 + 13) % 1009) as f32 / 504.5 - 0.9)
+            .collect();
+        Tensor::from_vec::<_, f32>(values, shape, &Device::Cpu).unwrap()
+    }
+
+    /// Values, statistics and gradients of the one operation and of tensor operations.
+    #[test]
+    fn one_operation_equals_many() {
+        for (activation, has_residual) in [
+            (Activation::None, false),
+            (Activation::Relu, false),
+            (Activation::Relu, true),
+        ] {
+            let var = |shape: &[usize], salt| Var::from_tensor(&pattern(shape, salt)).unwrap();
+            let shape = [3, 5, 7, 9];
+            let (x, residual) = (var(&shape, 1), var(&shape, 2));
+            let (weight, bias) = (var(&[5], 3), var(&[5], 4));
+            let norm = BatchNorm {
+                name: "bn".into(),
+                weight: weight.as_tensor().clone(),
+                bias: bias.as_tensor().clone(),
+                running_mean: weight.as_tensor().clone(),
+                running_var: weight.as_tensor().clone(),
+            };
+            let added = has_residual.then_some(residual.as_tensor());
+            let mut passes = [Pass::training(), Pass::training()];
+            let ours = norm.forward(&x, added, activation, &mut passes[0]).unwrap();
+            let (mean, variance) = norm.batch_moments(&x, &mut passes[1]).unwrap();
+            let (scale, shift) = affine(&weight, &bias, &mean, &variance).unwrap();
+            let per_channel = |t: Tensor| t.reshape((1, (), 1, 1)).unwrap();
+            let mut theirs = x.broadcast_mul(&per_channel(scale)).unwrap();
+            theirs = theirs.broadcast_add(&per_channel(shift)).unwrap();
+            if has_residual {
+                theirs = (theirs + residual.as_tensor()).unwrap();
+            }
+            let theirs = activate(&theirs, activation).unwrap();
+            let close = |a: &Tensor, b: &Tensor| {
+                let read = |t: &Tensor| t.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+                for (a, b) in read(a).iter().zip(read(b)) {
+                    assert!((a - b).abs() < 2e-4 * b.abs().max(1.0), "{a} {b}");
+                }
+            };
+            close(&ours, &theirs);
+            let [a, b] = passes
+                .each_ref()
+                .map(|pass| pass.moments().next().unwrap().1);
+            close(&a.mean, &b.mean);
+            close(&a.variance, &b.variance);
+            let weigh = |y: &Tensor| (y * pattern(&shape, 5)).unwrap().sum_all().unwrap();
+            let [ours, theirs] = [ours, theirs].map(|y| weigh(&y).backward().unwrap());
+            for var in [&x, &weight, &bias] {
+                close(ours.get(var).unwrap(), theirs.get(var).unwrap());
+            }
+            assert_eq!(ours.get(&residual).is_some(), has_residual);
+            if has_residual {
+                close(ours.get(&residual).unwrap(), theirs.get(&residual).unwrap());
+            }
         }
     }
 }

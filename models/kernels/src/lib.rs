@@ -55,7 +55,7 @@ mod simd;
 
 pub use activation::Activation;
 pub use conv::Store;
-pub use grad::{AdamRates, ConvGrads, Geometry, PlaneConv, Wanted, adam_update};
+pub use grad::{AdamRates, ConvGrads, Geometry, PlaneConv, PlaneFilter, Wanted, adam_update};
 pub use isa::Isa;
 pub use layout::Size;
 pub use peak::{spin, stream};

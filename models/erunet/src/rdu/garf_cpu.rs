@@ -1,15 +1,54 @@
-//! The filtering of GARF as one loop over pixels, for inference on the processor.
+//! The filtering of GARF on the processor as one operation with a backward pass: kernels are
+//! built from the coefficients for a few rows at a time and never stored.
 
-use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, bail};
-use rayon::prelude::*;
+use candle_core::{CpuStorage, CustomOp2, Layout, Result, Shape, Tensor, bail};
+use noctule_kernels::PlaneFilter;
 
-/// Applies per-pixel kernels to every channel; first operand x `[N, d, h, w]`, second the kernels
-/// `[N, M, J, h, w]`, both contiguous; result `[N, d*M, h, w]`, index c*M + m.
+use crate::conv_cpu::ISA;
+use crate::slices::{all_values, in_order};
+
+/// Filters every channel of the first operand, x `[N, d, h, w]`, with kernels that the second
+/// combines from the atoms, coefficients `[N, M*K, h, w]` with index m*K + k; result
+/// `[N, d*M, h, w]`, index c*M + m.
+#[derive(Clone)]
 pub(super) struct FilterCpu {
     /// Row and column of each tap in a picture padded by `reach`.
     pub(super) taps: Vec<(usize, usize)>,
     /// Pixels a kernel reaches beyond its centre.
     pub(super) reach: usize,
+    /// What each atom holds at each tap, `[J, K]`.
+    pub(super) atoms: Vec<f32>,
+    /// M.
+    pub(super) filters: usize,
+}
+
+impl FilterCpu {
+    fn filter<'a>(
+        &'a self,
+        x_shape: &Shape,
+        coefficients_shape: &Shape,
+        x: &'a [f32],
+        coefficients: &'a [f32],
+    ) -> Result<PlaneFilter<'a>> {
+        let (n, d, h, w) = x_shape.dims4()?;
+        let count = self.filters * self.atoms.len() / self.taps.len();
+        if coefficients_shape.dims() != [n, count, h, w] {
+            bail!("coefficients {coefficients_shape:?} do not fit {x_shape:?}");
+        }
+        Ok(PlaneFilter {
+            batch: n,
+            channels: d,
+            filters: self.filters,
+            height: h,
+            width: w,
+            taps: &self.taps,
+            reach: self.reach,
+            atoms: &self.atoms,
+            x,
+            coefficients,
+            isa: *ISA,
+        })
+    }
 }
 
 impl CustomOp2 for FilterCpu {
@@ -21,65 +60,33 @@ impl CustomOp2 for FilterCpu {
         &self,
         x: &CpuStorage,
         x_layout: &Layout,
-        kernels: &CpuStorage,
-        kernels_layout: &Layout,
+        coefficients: &CpuStorage,
+        coefficients_layout: &Layout,
     ) -> Result<(CpuStorage, Shape)> {
+        let (x, coefficients) = (
+            in_order(x, x_layout)?,
+            in_order(coefficients, coefficients_layout)?,
+        );
+        let shapes = (x_layout.shape(), coefficients_layout.shape());
+        let filter = self.filter(shapes.0, shapes.1, x, coefficients)?;
         let (n, d, h, w) = x_layout.shape().dims4()?;
-        let (kernels_n, filters, live, kernels_h, kernels_w) = kernels_layout.shape().dims5()?;
-        if (kernels_n, live, kernels_h, kernels_w) != (n, self.taps.len(), h, w) {
-            bail!(
-                "kernels {:?} do not fit {:?}",
-                kernels_layout.shape(),
-                x_layout.shape()
-            );
-        }
-        let x = contiguous(x.as_slice::<f32>()?, x_layout)?;
-        let kernels = contiguous(kernels.as_slice::<f32>()?, kernels_layout)?;
-        let plane = h * w;
-        let mut out = vec![0f32; n * d * filters * plane];
-        out.par_chunks_mut(plane * filters)
-            .enumerate()
-            .for_each(|(index, out)| {
-                let x = &x[index * plane..][..plane];
-                let kernels =
-                    &kernels[index / d * filters * live * plane..][..filters * live * plane];
-                for (out, kernel) in out.chunks_mut(plane).zip(kernels.chunks(live * plane)) {
-                    self.channel(x, kernel, out, w);
-                }
-            });
-        Ok((CpuStorage::F32(out), Shape::from((n, d * filters, h, w))))
+        let shape = Shape::from((n, d * self.filters, h, w));
+        Ok((CpuStorage::F32(filter.forward()), shape))
     }
-}
 
-impl FilterCpu {
-    /// One channel through one filter: `x` and `out` `[h, w]`, `kernel` `[J, h, w]`.
-    fn channel(&self, x: &[f32], kernel: &[f32], out: &mut [f32], w: usize) {
-        let h = out.len() / w;
-        for (y, out) in out.chunks_mut(w).enumerate() {
-            for (tap, &(row, column)) in self.taps.iter().enumerate() {
-                let Some(source) = (y + row).checked_sub(self.reach).filter(|y| *y < h) else {
-                    continue;
-                };
-                let source = &x[source * w..][..w];
-                let weights = &kernel[(tap * h + y) * w..][..w];
-                // Column z reads source column z + column - reach, where that lies inside.
-                let first = self.reach.saturating_sub(column).min(w);
-                let skipped = column.saturating_sub(self.reach).min(w);
-                let len = (w - first).min(w - skipped);
-                let pairs = source[skipped..][..len]
-                    .iter()
-                    .zip(&weights[first..][..len]);
-                for (out, (x, weight)) in out[first..][..len].iter_mut().zip(pairs) {
-                    *out += x * weight;
-                }
-            }
-        }
-    }
-}
-
-fn contiguous<'a>(values: &'a [f32], layout: &Layout) -> Result<&'a [f32]> {
-    match layout.contiguous_offsets() {
-        Some((start, end)) => Ok(&values[start..end]),
-        None => bail!("garf_filter wants contiguous operands, got {layout:?}"),
+    fn bwd(
+        &self,
+        x: &Tensor,
+        coefficients: &Tensor,
+        _: &Tensor,
+        grad: &Tensor,
+    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
+        let shapes = (x.shape(), coefficients.shape());
+        let (x_grad, grads) = all_values(&[x, coefficients, grad], |values| {
+            let filter = self.filter(shapes.0, shapes.1, values[0], values[1])?;
+            Ok::<_, candle_core::Error>(filter.backward(values[2]))
+        })??;
+        let tensor = |values, like: &Tensor| Tensor::from_vec(values, like.shape(), like.device());
+        Ok((Some(tensor(x_grad, x)?), Some(tensor(grads, coefficients)?)))
     }
 }

@@ -2,6 +2,7 @@
 //! backward, and the optimiser's step.
 
 mod adam;
+mod adaptive;
 mod conv;
 mod geometry;
 mod rows;
@@ -9,5 +10,6 @@ mod sums;
 mod work;
 
 pub use adam::{AdamRates, adam_update};
+pub use adaptive::PlaneFilter;
 pub use conv::{ConvGrads, PlaneConv, Wanted};
 pub use geometry::Geometry;
