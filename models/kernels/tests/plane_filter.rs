@@ -12,7 +12,10 @@ fn pattern(len: usize, salt: usize) -> Vec<f32> {
 /// The corners of the window are left out, as where no atom reaches them.
 fn taps(reach: usize) -> Vec<(usize, usize)> {
     let side = 2 * reach + 1;
-    let corner = |y: usize, x: usize| reach > 0 && y % (side - 1) == 0 && x % (side - 1) == 0;
+    let corner = |y: usize, x: usize| {
+        let edge = |at: usize| at == 0 || at == side - 1;
+        reach > 0 && edge(y) && edge(x)
+    };
     (0..side)
         .flat_map(|y| (0..side).map(move |x| (y, x)))
         .filter(|(y, x)| !corner(*y, *x))
