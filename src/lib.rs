@@ -9,11 +9,14 @@
 //! - Around them: [`config`], [`latency`], [`digest`], [`supervise`].
 //! - Whole runs: [`replay`] puts a recording in the sensors' place, [`observe`] watches it,
 //!   [`mod@bench`] loads it.
+//! - `dataset` hands a recording to evaluation.
 //! - Files: [`inspect`] says what is in them, [`export`] hands it to other programs.
 
 pub mod bench;
 pub mod bus;
 pub mod config;
+#[cfg(feature = "model")]
+pub mod dataset;
 pub mod digest;
 pub mod export;
 pub mod frame;

@@ -8,6 +8,8 @@ mod bench;
 mod bench_infer;
 mod check;
 mod demo;
+#[cfg(feature = "model")]
+mod eval;
 mod export;
 mod host;
 mod infer;
@@ -58,6 +60,9 @@ enum Command {
     Bench(bench::Arguments),
     /// Checks a configuration file
     Check(check::Arguments),
+    /// Scores networks, and what needs no learning, against exact truth
+    #[cfg(feature = "model")]
+    Eval(eval::Arguments),
     /// Trains a network on the synthetic night
     #[cfg(feature = "model")]
     Train(train::Arguments),
@@ -97,6 +102,8 @@ pub fn run(arguments: Arguments) -> ExitCode {
         Command::Export(a) => export::run(&a),
         Command::Bench(a) => bench::run(&a),
         Command::Check(a) => check::run(&a),
+        #[cfg(feature = "model")]
+        Command::Eval(a) => eval::run(&a),
         #[cfg(feature = "model")]
         Command::Train(a) => train::run(&a),
         #[cfg(feature = "model")]

@@ -60,9 +60,11 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if let Some(cache) = &arguments.cache {
         settings.data.cache.clone_from(cache);
     }
-    let threads = arguments.threads.unwrap_or(settings.threads).max(1);
+    if let Some(threads) = arguments.threads {
+        settings.threads = threads.max(1);
+    }
     rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
+        .num_threads(settings.threads)
         .build_global()?;
     let stop = stop_on_signals()?;
     let cache = prepare(&settings, &stop)?;

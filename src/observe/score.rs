@@ -5,6 +5,7 @@ use noctule_recording::{ExposureTruth, Recording, RecordingError};
 use serde::Serialize;
 
 use super::record::Kept;
+use crate::frame::BundleHeader;
 
 /// Nearest depth that counts, metres.
 const DEPTH_M_MIN: f32 = 0.1;
@@ -87,8 +88,17 @@ impl Sum {
 /// The true exposure that a bundle shows: the one whose middle lies in it.
 #[must_use]
 pub fn truth_of<'a>(kept: &Kept, truths: &'a [ExposureTruth]) -> Option<&'a ExposureTruth> {
+    truth_at(&kept.header, truths)
+}
+
+/// As [`truth_of`], from the bundle's header alone.
+#[must_use]
+pub fn truth_at<'a>(
+    header: &BundleHeader,
+    truths: &'a [ExposureTruth],
+) -> Option<&'a ExposureTruth> {
     let middle = |open: u64, close: u64| open + close.saturating_sub(open) / 2;
-    let (open, close) = (kept.header.open_tai_ns, kept.header.close_tai_ns);
+    let (open, close) = (header.open_tai_ns, header.close_tai_ns);
     truths.iter().find(|t| {
         let centre = middle(t.open_tai.as_nanos(), t.close_tai.as_nanos());
         (open..close).contains(&centre)

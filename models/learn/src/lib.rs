@@ -3,6 +3,7 @@
 //! - [`Cache`] renders seeded nights once and keeps them; [`Loader`] makes batches of them, the
 //!   same in every run, from any batch on.
 //! - [`Run`] trains in the paper's stages and can be stopped and taken up again at any step.
+//! - [`evaluate`] scores networks and what needs no learning on the same exposures.
 //! - [`Settings`] are what a run is told. Seeds of validation and test cannot be trained on.
 //!
 //! The crate prints nothing and parses no arguments.
@@ -16,6 +17,7 @@
 mod batch;
 mod cache;
 mod chance;
+mod eval;
 mod loss;
 mod score;
 mod settings;
@@ -23,6 +25,10 @@ mod train;
 
 pub use batch::{Batch, BatchError, Inputs, Loader, Pictures, Recipe};
 pub use cache::{Cache, CacheError, Example, Examples, Nights, Prepared, SHARD_LEN, generator};
+pub use eval::{
+    DataSet, EvalError, Method, MethodScores, Row, Scene, Scenes, Scores, Share, Withheld,
+    WorldScenes, csv, evaluate, markdown,
+};
 pub use loss::{DepthLoss, PictureLoss, depth_loss, picture_loss};
 pub use score::{DEPTH_CAP_M, DEPTH_MIN_M, Truth, score_sequence};
 pub use settings::{

@@ -142,7 +142,7 @@ impl Shard {
     fn bytes(&self, name: &str) -> Result<Vec<u8>, CacheError> {
         let info = self.metadata.info(name).ok_or_else(|| self.fault(name))?;
         let (start, end) = info.data_offsets;
-        let mut bytes = vec![0; end - start];
+        let mut bytes = vec![0; end.checked_sub(start).ok_or_else(|| self.fault(name))?];
         self.file
             .read_exact_at(&mut bytes, self.data_start + start as u64)
             .map_err(|source| CacheError::File {

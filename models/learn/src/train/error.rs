@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 
 use noctule_depth::{MetricsError, PictureError, PngError, SizeError};
-use noctule_erunet::{AdamError, ConfigError, NetworkError, WeightsError};
+use noctule_erunet::{AdamError, ConfigError, NetworkError, PlanError, WeightsError};
 use thiserror::Error;
 
 use crate::batch::BatchError;
 use crate::cache::CacheError;
+use crate::eval::EvalError;
 use crate::settings::SettingsError;
 
 /// Why training stopped.
@@ -95,6 +96,12 @@ pub enum TrainError {
     /// An example could not be read.
     #[error(transparent)]
     Cache(#[from] CacheError),
+    /// An exposure could not be prepared for validation.
+    #[error(transparent)]
+    Eval(#[from] EvalError),
+    /// The network could not be compiled or run for validation.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
     /// A depth map could not be scored.
     #[error(transparent)]
     Metrics(#[from] MetricsError),

@@ -10,8 +10,8 @@ use noctule_raster::BINS;
 use noctule_world::STEPS;
 
 use super::error::TrainError;
-use crate::batch::Inputs;
 use crate::cache::Example;
+use crate::eval::Scene;
 
 /// Exposures drawn.
 const ROWS: usize = 6;
@@ -46,14 +46,14 @@ impl Grid {
         &mut self,
         index: usize,
         example: &Example,
-        inputs: &Inputs,
+        scene: &Scene,
         pred: &[f32],
     ) -> Result<(), TrainError> {
         if !index.is_multiple_of(self.every) {
             return Ok(());
         }
         let area = self.size.pixels();
-        let voxel: Vec<f32> = inputs.voxel.get(0)?.get(STEP)?.flatten_all()?.to_vec1()?;
+        let voxel = &scene.voxel[STEP * BINS * area..][..BINS * area];
         let (sparse, truth) = (example.step(&example.sparse, STEP), example.step(&example.depth, STEP));
         let pred = &pred[STEP * area..][..area];
         let mut blur = vec![0; 3 * area];
@@ -62,7 +62,7 @@ impl Grid {
         }
         let tiles = vec![
             ("blurred", self.canvas(blur)?),
-            ("events", self.draw(|rgb| events_to_rgb(&voxel, BINS, 1.0, rgb))?),
+            ("events", self.draw(|rgb| events_to_rgb(voxel, BINS, 1.0, rgb))?),
             ("returns", self.draw(|rgb| sparse_to_rgb(sparse, self.size, 1, Scale::DRIVE, rgb))?),
             ("depth", self.draw(|rgb| depth_to_rgb(pred, Scale::DRIVE, rgb))?),
             ("truth", self.draw(|rgb| depth_to_rgb(truth, Scale::DRIVE, rgb))?),

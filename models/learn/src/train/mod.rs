@@ -129,6 +129,7 @@ impl Run {
                 cache.open(&settings.validation()?)?,
                 settings.data.size,
                 depth_max_m,
+                settings.threads,
             )?,
             settings,
             start,

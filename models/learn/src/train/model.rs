@@ -144,3 +144,126 @@ impl Average {
         Weights::from_tensors(&model.config, self.tensors.clone(), &model.device)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::Batch;
+    use crate::cache::Example;
+    use crate::settings::{Domain, Loss};
+    use crate::train::batch_loss;
+    use noctule_erunet::Variant;
+    use noctule_world::Tier;
+
+    /// A small network away from its start, where the zero head of restoration passes nothing on.
+    fn model(config: &Config) -> Model {
+        let weights = Weights::initial(config, 4, &Device::Cpu).expect("a network");
+        let mut tensors = weights.tensors().clone();
+        for (name, tensor) in &mut tensors {
+            if name.ends_with("recon.conv2.weight") {
+                *tensor = (tensor.ones_like().expect("shape") * 0.05).expect("values");
+            }
+        }
+        let weights = Weights::from_tensors(config, tensors, &Device::Cpu).expect("fits");
+        Model::new(config, &weights).expect("fits")
+    }
+
+    /// Every trained tensor gets a finite gradient that is not zero, no other gets any.
+    #[test]
+    fn gradients_reach_what_a_stage_trains_and_nothing_else() {
+        let example = Example::render(6, Tier::B, 32).expect("small");
+        let pictures = Some((Domain::Linear, 0.25));
+        let batch = Batch::whole(&example, pictures, 80.0).expect("small");
+        let inputs = batch.to_device(&Device::Cpu).expect("small");
+        for (member, variant) in [
+            ("tiny", Variant::Full),
+            ("xs", Variant::Full),
+            ("xs", Variant::NoEfr),
+            ("xs", Variant::NoHgcm),
+        ] {
+            let config = Config::member(member).expect("known").with_steps(8);
+            let config = config.with_variant(variant);
+            let model = model(&config);
+            for kind in [Kind::Restore, Kind::Complete, Kind::Together, Kind::Joint] {
+                if kind == Kind::Restore && !config.has_efr() {
+                    continue;
+                }
+                let network = model.network(kind).expect("fits");
+                let mut pass = match kind.uses_batch_statistics() {
+                    true => Pass::training(),
+                    false => Pass::plain(),
+                };
+                let loss = batch_loss(&network, kind, &inputs, &Loss::default(), &mut pass);
+                let gradients = loss.expect("fits").total.backward().expect("fits");
+                let trained: BTreeMap<String, Var> = model.trained(kind).into_iter().collect();
+                assert!(!trained.is_empty());
+                for (name, var) in &model.vars {
+                    let about = format!("{member} {variant:?} stage {} {name}", kind.name());
+                    let found = gradients.get(var);
+                    if !trained.contains_key(name) {
+                        assert!(found.is_none(), "{about} is frozen");
+                        continue;
+                    }
+                    let found = found.unwrap_or_else(|| panic!("{about} gets none"));
+                    let found: Vec<f32> = found
+                        .flatten_all()
+                        .and_then(|g| g.to_vec1())
+                        .expect("values");
+                    assert!(found.iter().all(|g| g.is_finite()), "{about}");
+                    assert!(found.iter().any(|g| *g != 0.0), "{about} is zero");
+                }
+            }
+        }
+    }
+
+    /// The running statistics move by a tenth towards the batch's; networks see it at once.
+    #[test]
+    fn statistics_follow_and_networks_follow_them() {
+        let config = Config::tiny();
+        let model = model(&config);
+        let network = model.network(Kind::Complete).expect("fits");
+        let zeros = |shape: &[usize]| {
+            Tensor::ones(shape, candle_core::DType::F32, &Device::Cpu).expect("small")
+        };
+        let (blur, voxel) = (zeros(&[1, 3, 16, 16]), zeros(&[1, 3, 5, 16, 16]));
+        let sparse = zeros(&[1, 3, 1, 16, 16]);
+        let run = |pass: &mut Pass| -> Vec<f32> {
+            let clear = network.restore(&blur, &voxel, pass).expect("fits");
+            let outputs = network.complete(&clear, &voxel, &sparse, pass).expect("fits");
+            outputs.depth.flatten_all().and_then(|d| d.to_vec1()).expect("values")
+        };
+        let mut pass = Pass::training();
+        run(&mut pass);
+        let before = run(&mut Pass::plain());
+        let name = "rdu.bott.bn.running_mean";
+        let old: Vec<f32> = model.vars[name].to_vec1().expect("values");
+        model.follow(&pass).expect("known");
+        let new: Vec<f32> = model.vars[name].to_vec1().expect("values");
+        let (_, moments) = pass.moments().find(|(n, _)| *n == "rdu.bott.bn").expect("seen");
+        let seen: Vec<f32> = moments.mean.to_vec1().expect("values");
+        for ((old, new), seen) in old.iter().zip(&new).zip(&seen) {
+            assert!((new - (0.9 * old + 0.1 * seen)).abs() < 1e-6);
+        }
+        assert_ne!(run(&mut Pass::plain()), before);
+    }
+
+    #[test]
+    fn the_average_forgets_the_start_and_then_lags() {
+        let model = model(&Config::tiny());
+        let mut average = Average::new(&model, 0.5).expect("copies");
+        let name = "rdu.head2.bias";
+        let set = |value: f32| {
+            let ones = model.vars[name].ones_like().expect("shape");
+            model.vars[name].set(&(ones * f64::from(value)).expect("values")).expect("fits");
+        };
+        let held = |average: &Average| -> f32 {
+            average.tensors()[name].to_vec1::<f32>().expect("values")[0]
+        };
+        set(1.0);
+        average.take(&model, 1).expect("fits");
+        assert!((held(&average) - 0.9).abs() < 1e-6, "a tenth of the start is left");
+        set(3.0);
+        average.take(&model, 1000).expect("fits");
+        assert!((held(&average) - 1.95).abs() < 1e-5);
+    }
+}

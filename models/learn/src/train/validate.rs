@@ -3,17 +3,17 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use candle_core::Device;
 use noctule_depth::{Completer, Score, ScoreTable, Size};
-use noctule_erunet::{Network, Norms, Pass, Weights};
+use noctule_erunet::{Network, Norms, Pass, Plan, PlanOptions, Weights};
 use noctule_world::STEPS;
 use serde::Serialize;
 
 use super::error::TrainError;
 use super::grid::Grid;
 use super::step::{batch_loss, scalar};
-use crate::batch::{Batch, Inputs};
+use crate::batch::{Batch, BatchError};
 use crate::cache::{Example, Examples};
+use crate::eval::{Scene, Withheld, complete};
 use crate::score::{DEPTH_CAP_M, Truth, score_sequence};
 use crate::settings::{Kind, Loss};
 
@@ -82,6 +82,7 @@ pub(super) struct Validator {
     size: Size,
     nearest: Score,
     depth_max_m: f32,
+    threads: usize,
 }
 
 impl Validator {
@@ -89,6 +90,7 @@ impl Validator {
         examples: Examples,
         side: usize,
         depth_max_m: f32,
+        threads: usize,
     ) -> Result<Self, TrainError> {
         let size = Size::new(side, side)?;
         let mut table = ScoreTable::new();
@@ -102,6 +104,7 @@ impl Validator {
             size,
             nearest,
             depth_max_m,
+            threads,
         })
     }
 
@@ -114,52 +117,91 @@ impl Validator {
         loss: &Loss,
         stop: &AtomicBool,
     ) -> Result<Option<(Validation, Grid)>, TrainError> {
+        if kind == Kind::Restore {
+            self.pictures(weights, loss, stop)
+        } else {
+            self.depth(weights, kind, stop)
+        }
+    }
+
+    /// Restoration, through the network that training uses.
+    fn pictures(
+        &self,
+        weights: &Weights,
+        loss: &Loss,
+        stop: &AtomicBool,
+    ) -> Result<Option<(Validation, Grid)>, TrainError> {
         let started = Instant::now();
         let config = weights.config().ok_or_else(no_truth)?;
         let network = Network::new(config, weights, Norms::Fold)?;
-        let mut grid = Grid::new(self.size, self.examples.len());
-        let mut table = ScoreTable::new();
-        let mut pictures = PictureValidation {
+        let mut mean = PictureValidation {
             loss: 0.0,
             blurred: 0.0,
             spread: 0.0,
         };
+        let share = 1.0 / self.examples.len() as f64;
         for index in 0..self.examples.len() {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            let restores = kind == Kind::Restore;
-            let example = self.examples.read(index, restores)?;
-            let wanted = restores.then_some((loss.reblur_domain, loss.contrast));
+            let example = self.examples.read(index, true)?;
+            let wanted = Some((loss.reblur_domain, loss.contrast));
             let batch = Batch::whole(&example, wanted, self.depth_max_m);
             let inputs = batch
-                .map_err(crate::batch::BatchError::from)?
-                .to_device(&network_device(&network))?;
-            if restores {
-                let share = 1.0 / self.examples.len() as f64;
-                let found = batch_loss(&network, kind, &inputs, loss, &mut Pass::plain())?;
-                pictures.loss += share * scalar(&found.total)?;
-                if let Some(beside) = found.beside {
-                    pictures.blurred += share * beside.blurred;
-                    pictures.spread += share * beside.spread;
-                }
-                continue;
+                .map_err(BatchError::from)?
+                .to_device(network.device())?;
+            let mut pass = Pass::plain();
+            let found = batch_loss(&network, Kind::Restore, &inputs, loss, &mut pass)?;
+            mean.loss += share * scalar(&found.total)?;
+            if let Some(beside) = found.beside {
+                mean.blurred += share * beside.blurred;
+                mean.spread += share * beside.spread;
             }
-            let pred = depth(&network, &inputs)?;
-            add(&mut table, index, &pred, &example, self.size)?;
-            grid.add(index, &example, &inputs, &pred)?;
         }
-        let depth = match (table.mean(), kind) {
-            (Some(mean), _) => Some(self.shares(&mean, &table)),
-            (None, Kind::Restore) => None,
-            (None, _) => return Err(no_truth()),
+        let validation = Validation {
+            stage: Kind::Restore.name(),
+            step: 0,
+            seconds: started.elapsed().as_secs_f64(),
+            pictures: Some(mean),
+            depth: None,
         };
+        Ok(Some((validation, Grid::new(self.size, self.examples.len()))))
+    }
+
+    /// Depth, through the compiled plan that vehicles use.
+    fn depth(
+        &self,
+        weights: &Weights,
+        kind: Kind,
+        stop: &AtomicBool,
+    ) -> Result<Option<(Validation, Grid)>, TrainError> {
+        let started = Instant::now();
+        let config = weights.config().ok_or_else(no_truth)?;
+        let (height, width) = (self.size.height(), self.size.width());
+        let options = PlanOptions {
+            threads: self.threads,
+            ..PlanOptions::default()
+        };
+        let mut plan = Plan::new(config, weights, height, width, options)?;
+        let mut grid = Grid::new(self.size, self.examples.len());
+        let mut table = ScoreTable::new();
+        for index in 0..self.examples.len() {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            let example = self.examples.read(index, false)?;
+            let scene = Scene::of_example(&example)?;
+            let pred = complete(&mut plan, &scene, Withheld::default())?;
+            add(&mut table, index, &pred, &example, self.size)?;
+            grid.add(index, &example, &scene, &pred)?;
+        }
+        let mean = table.mean().ok_or_else(no_truth)?;
         let validation = Validation {
             stage: kind.name(),
             step: 0,
             seconds: started.elapsed().as_secs_f64(),
-            pictures: depth.is_none().then_some(pictures),
-            depth,
+            pictures: None,
+            depth: Some(self.shares(&mean, &table)),
         };
         Ok(Some((validation, grid)))
     }
@@ -189,18 +231,8 @@ impl Validator {
     }
 }
 
-fn network_device(network: &Network) -> Device {
-    network.device().clone()
-}
-
 fn no_truth() -> TrainError {
     noctule_depth::MetricsError::NoTruth { cap: DEPTH_CAP_M }.into()
-}
-
-/// All eight maps of one exposure, `[T, H, W]`, metres.
-fn depth(network: &Network, inputs: &Inputs) -> Result<Vec<f32>, TrainError> {
-    let outputs = network.forward(&inputs.blur, &inputs.voxel, &inputs.sparse)?;
-    Ok(outputs.depth.flatten_all()?.to_vec1()?)
 }
 
 /// Nearest returns of all eight steps.

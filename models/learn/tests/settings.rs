@@ -1,0 +1,104 @@
+//! Settings: the shipped files are right, and what is wrong is named.
+#![allow(clippy::unwrap_used, reason = "a test may fail by panicking")]
+
+use std::path::Path;
+
+use noctule_learn::{Kind, Settings, SettingsError};
+
+const GOOD: &str = r#"
+member = "xs"
+seed = 1
+[data]
+cache = "nights"
+train = [{ tier = "A", seeds = [0, 16] }, { tier = "C", seeds = [0, 16] }]
+validation = [{ tier = "B", seeds = [100000, 100004] }]
+[[stages]]
+kind = "2"
+steps = 10
+batch = 4
+crop = 128
+window = 4
+rate = [1e-3, 1e-5]
+validate_every = 5
+checkpoint_every = 5
+"#;
+
+fn error(from: &str, to: &str) -> String {
+    assert!(GOOD.contains(from), "{from}");
+    Settings::from_toml(&GOOD.replace(from, to))
+        .unwrap_err()
+        .to_string()
+}
+
+#[test]
+fn every_shipped_file_is_read() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/train");
+    let mut count = 0;
+    for file in std::fs::read_dir(folder).unwrap() {
+        let path = file.unwrap().path();
+        let settings = Settings::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        assert!(settings.stages.iter().all(|stage| stage.steps > 0));
+        count += 1;
+    }
+    assert!(count > 0);
+}
+
+#[test]
+fn settings_survive_their_own_text() {
+    let settings = Settings::from_toml(GOOD).unwrap();
+    assert_eq!(settings.stages[0].kind, Kind::Complete);
+    assert_eq!(Settings::from_toml(&settings.to_toml()).unwrap(), settings);
+}
+
+#[test]
+fn seeds_of_validation_and_test_are_not_trained_on() {
+    let wrong = |seeds: &str| error("\"A\", seeds = [0, 16]", &format!("\"A\", seeds = {seeds}"));
+    let beyond = wrong("[99990, 100001]");
+    assert!(
+        beyond.contains("data.train[0].seeds is 99990..100001, wanted a range within 0..100000"),
+        "{beyond}"
+    );
+    assert!(wrong("[200000, 200016]").contains("data.train[0].seeds"));
+    assert!(wrong("[5, 5]").contains("5..5"));
+    let tested = error("[100000, 100004]", "[200000, 200004]");
+    assert!(tested.contains("within 100000..200000"), "{tested}");
+    let twice = error("\"C\"", "\"A\"");
+    assert!(twice.contains("no seed twice"), "{twice}");
+}
+
+#[test]
+fn each_wrong_number_is_named() {
+    for (from, to, text) in [
+        ("\"xs\"", "\"xl\"", "xl"),
+        ("\"A\"", "\"Z\"", "tier is \"Z\""),
+        ("steps = 10", "steps = 0", "stages[0].steps is 0"),
+        ("crop = 128", "crop = 120", "stages[0].crop is 120, wanted a multiple of 16 up to 256"),
+        ("crop = 128", "crop = 512", "stages[0].crop is 512"),
+        ("window = 4", "window = 9", "stages[0].window is 9, wanted 1 to 8"),
+        ("batch = 4", "batch = 0", "stages[0].batch is 0"),
+        ("[1e-3, 1e-5]", "[1e-5, 1e-3]", "not rising"),
+        ("[1e-3, 1e-5]", "[nan, 1e-5]", "stages[0].rate"),
+        ("validate_every = 5", "validate_every = 0", "validate_every"),
+        ("seed = 1", "seed = 1\naverage = 1.0", "average is 1"),
+        ("seed = 1", "seed = 1\nthreads = 0", "threads is 0"),
+        ("seed = 1", "sede = 1", "sede"),
+        ("kind = \"2\"", "kind = \"4\"", "4"),
+        ("[[stages]]", "[loss]\nssim = -1.0\n[[stages]]", "loss.ssim is -1"),
+        ("[[stages]]", "[augment]\nflip = 1.5\n[[stages]]", "augment.flip is 1.5"),
+        ("[[stages]]", "[augment]\ngain = [2.0, 1.0]\n[[stages]]", "augment.gain"),
+    ] {
+        let error = error(from, to);
+        assert!(error.contains(text), "{to}: {error}");
+    }
+    let absent = Settings::read(Path::new("/nonexistent/x.toml")).unwrap_err();
+    assert!(matches!(absent, SettingsError::File { .. }));
+}
+
+#[test]
+fn a_network_without_restoration_has_no_first_stage() {
+    let text = GOOD
+        .replace("seed = 1", "seed = 1\nvariant = \"no_efr\"")
+        .replace("kind = \"2\"", "kind = \"1\"");
+    let error = Settings::from_toml(&text).unwrap_err().to_string();
+    assert!(error.contains("restores nothing"), "{error}");
+}
