@@ -4,7 +4,8 @@
     python train_race.py --model DIR/erunet_torch.py --ours TARGET/release/examples/train_pace
 
 The model file has to offer `build(name, T=...)`, `set_stage(net, stage)` and
-`loss_rdu(depth, truth, sparse)`. Prints the median milliseconds of both and their ratio.
+`loss_rdu(depth, truth, sparse)`. Prints the median milliseconds of both and their ratio,
+and the same of CPU time, which other programs on the machine disturb less.
 """
 import argparse
 import importlib.util
@@ -23,6 +24,13 @@ def load(path):
     sys.modules["model"] = module
     spec.loader.exec_module(module)
     return module
+
+
+def cpu_seconds(pid):
+    """User and system time a process has taken, all threads."""
+    with open(f"/proc/{pid}/stat") as f:
+        fields = f.read().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class Theirs:
@@ -55,9 +63,11 @@ class Ours:
     def __init__(self, a):
         names = ("member", "stage", "batch", "side", "steps", "threads")
         args = [x for n in names for x in (f"--{n}", str(getattr(a, n)))]
-        self.process = subprocess.Popen(
-            [a.ours, "--serve", *args], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        # Candle's own threads spin while they wait, and its operations here are small.
+        env = dict(os.environ, RAYON_NUM_THREADS=str(a.threads), CANDLE_NUM_THREADS="1")
+        pipe = subprocess.PIPE
+        command = [a.ours, "--serve", *args]
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=env)
 
     def step(self):
         self.process.stdin.write("\n")
@@ -82,12 +92,16 @@ def main():
     theirs, ours = Theirs(load(a.model), a), Ours(a)
     for _ in range(2):
         theirs.step(), ours.step()
+    pids = (os.getpid(), ours.process.pid)
+    before = [cpu_seconds(pid) for pid in pids]
     pairs = [(theirs.step(), ours.step()) for _ in range(a.rounds)]
+    cpu = [1e3 * (cpu_seconds(pid) - t) / a.rounds for pid, t in zip(pids, before)]
     t, o = (statistics.median(x) for x in zip(*pairs))
     least = [min(x) for x in zip(*pairs)]
     print(
         f"{a.member} stage {a.stage}, {a.threads} threads: PyTorch {t:.1f} ms (least {least[0]:.1f}), "
-        f"ours {o:.1f} ms (least {least[1]:.1f}), PyTorch / ours {t / o:.2f}"
+        f"ours {o:.1f} ms (least {least[1]:.1f}), PyTorch / ours {t / o:.2f}; "
+        f"CPU time {cpu[0]:.0f} and {cpu[1]:.0f} ms, ratio {cpu[0] / cpu[1]:.2f}"
     )
     ours.process.stdin.close()
     os.waitpid(ours.process.pid, 0)

@@ -135,6 +135,68 @@ fn every_trained_tensor_gets_a_finite_gradient_that_is_not_zero() {
     }
 }
 
+/// Depth loss of stage 2 in double precision, with the batch's own statistics; and its gradients.
+fn batch_loss(scene: &Scene, network: &Network) -> (f64, GradStore) {
+    let input = |name: &str| &scene.inputs[name];
+    let mut pass = Pass::training();
+    let (voxel, sparse) = (input("vox"), input("sparse"));
+    let clear = network.restore(input("blur"), voxel, &mut pass).unwrap();
+    let outputs = network.complete(&clear, voxel, sparse, &mut pass).unwrap();
+    let loss = depth_loss(&outputs.depth, input("gt_depth"), sparse).unwrap();
+    let value = f64::from(loss.to_scalar::<f32>().unwrap());
+    (value, loss.backward().unwrap())
+}
+
+/// Statistics of the batch are part of what is differentiated: a small step along the gradient of
+/// each part of the network changes the loss by the gradient's square.
+#[test]
+fn gradients_through_batch_statistics_are_those_of_finite_differences() {
+    let scene = scene("batch");
+    let (vars, network) = trainable(&scene, 2);
+    let (_, gradients) = batch_loss(&scene, &network);
+    for part in [
+        "rdu.guide",
+        "rdu.event",
+        "rdu.depth",
+        "rdu.bott",
+        "rdu.dec2",
+        "rdu.dec0",
+    ] {
+        let ours: Vec<(&Var, Tensor, Tensor)> = vars
+            .iter()
+            .filter(|(name, _)| name.starts_with(part))
+            .map(|(name, var)| {
+                let gradient = gradients.get(var).unwrap_or_else(|| panic!("no {name}"));
+                assert!(values(gradient).iter().all(|g| g.is_finite()), "{name}");
+                (var, var.copy().unwrap(), gradient.clone())
+            })
+            .collect();
+        let square: f64 = ours
+            .iter()
+            .flat_map(|(_, _, gradient)| values(gradient))
+            .map(|g| f64::from(g).powi(2))
+            .sum();
+        let losses = [-1.0, 1.0].map(|side| {
+            // A change of two thousandths of the loss, well above rounding.
+            let step = side * 0.02 / square;
+            for (var, start, gradient) in &ours {
+                var.set(&(start + (gradient * step).unwrap()).unwrap())
+                    .unwrap();
+            }
+            batch_loss(&scene, &network).0
+        });
+        for (var, start, _) in &ours {
+            var.set(start).unwrap();
+        }
+        let change = (losses[1] - losses[0]) / 0.04;
+        println!("{part}: {change}");
+        assert!(
+            (change - 1.0).abs() < 0.05,
+            "{part}: {change} of the gradient's square"
+        );
+    }
+}
+
 /// Within a thousandth of the largest value of each gradient, the reference's own tolerance.
 #[test]
 fn gradients_of_the_depth_losses_are_the_references() {

@@ -97,7 +97,7 @@ impl<E: Element> GarfOp<E> {
         let outputs = consecutive([filters * taps.atom_count]);
         let pixels = tile_pixels::<S>(x.size.width, if S::SUMS < TILE_SUMS { 1 } else { 2 });
         let coefficients = stripes::<S, E>(
-            Filter::pack::<E>(
+            Filter::pack::<E, E>(
                 dense(weights.coefficients.0, hidden.channels),
                 weights.coefficients.1,
                 &consecutive([hidden.channels]),
@@ -115,7 +115,7 @@ impl<E: Element> GarfOp<E> {
         }
         let mixed = consecutive([finish.out.channels]);
         let mix = stripes::<S, E>(
-            Filter::pack::<E>(
+            Filter::pack::<E, E>(
                 dense(weights.mix.0, x.channels * filters),
                 weights.mix.1,
                 &lanes,

@@ -1,25 +1,27 @@
 //! Convolution to a single channel and a logistic function: confidence planes and depth.
 //!
 //! With one output the lanes hold input channels; they are summed at the end of each pixel.
+//! Weights keep single precision whatever the features are stored as.
 
 use std::ops::Range;
 
 use crate::activation::{bounded_factor, sigmoid};
-use crate::conv::{InBlock, consecutive, in_blocks};
+use crate::conv::{InBlock, LINE, TILE_SUMS, consecutive, in_blocks};
 use crate::element::Element;
 use crate::layout::{Frame, Place};
 use crate::memory::Memory;
 use crate::program::Emit;
 use crate::simd::{Kernel, LANES, Simd};
 
-/// Pixels summed at once.
-const STRIP: usize = 8;
+/// Pixels summed at once: as many as there are lanes for their results.
+const STRIP: usize = LANES;
 
 /// A gate ready to run: `c = sigmoid(conv(inputs))`.
 pub(crate) struct GateOp<E: Element> {
     inputs: Vec<InBlock>,
     kernel: usize,
-    /// `[block][ky][kx][16]`, single precision.
+    /// `[block][ky][kx][part][pixel of a step][16]`: parts that add up to the weight, once for
+    /// every pixel a multiplication takes.
     weights: Memory,
     bias: f32,
     width: usize,
@@ -50,11 +52,18 @@ impl<E: Element> GateOp<E> {
         targets: GateTargets,
     ) -> Self {
         let taps = kernel * kernel;
-        let mut packed = Vec::new();
+        let mut packed: Vec<E::T> = Vec::new();
         for lanes in consecutive(inputs.iter().map(|place| place.channels)) {
             for tap in 0..taps {
                 let value = |l: usize| lanes.get(l).map_or(0.0, |&c| weight[c * taps + tap]);
-                packed.extend((0..LANES).map(value));
+                let mut rest: [f32; LANES] = std::array::from_fn(value);
+                for _ in 0..E::PARTS {
+                    let part = rest.map(E::from_f32);
+                    for (rest, part) in rest.iter_mut().zip(part) {
+                        *rest -= E::to_f32(part);
+                    }
+                    packed.extend(std::iter::repeat_n(part, E::STEP).flatten());
+                }
             }
         }
         let size = inputs[0].size;
@@ -93,34 +102,105 @@ impl<E: Element> GateOp<E> {
         unsafe { S::vectorize(kernel) }
     }
 
-    /// Sums of `N` pixels from column `x` of row `y`.
+    /// Where the windows of the pixel at `y`, `x` begin in `block`.
+    #[inline(always)]
+    fn corner(&self, block: &InBlock, y: usize, x: usize) -> usize {
+        let reach = self.kernel / 2;
+        block.origin + y * block.row + x * LANES - reach * block.row - reach * LANES
+    }
+
+    /// Sums of a strip of pixels from column `x` of row `y`, pixel by pixel in the lanes.
     ///
     /// # Safety
     /// As for `run`; the pixels lie within the row.
     #[inline(always)]
-    unsafe fn strip<S: Simd, const N: usize>(&self, frame: &Frame, y: usize, x: usize) -> [f32; N] {
-        let reach = self.kernel / 2;
+    unsafe fn strip<S: Simd>(&self, frame: &Frame, y: usize, x: usize) -> S::V {
+        // SAFETY: passed on from the caller.
+        unsafe {
+            let mut sums = [S::splat(0.0); LANES];
+            for first in (0..STRIP / E::STEP).step_by(4) {
+                if S::SUMS >= TILE_SUMS {
+                    break;
+                }
+                self.pixels::<S, 4>(frame, y, x, first, &mut sums);
+            }
+            if S::SUMS >= TILE_SUMS && E::STEP == 1 {
+                self.pixels::<S, STRIP>(frame, y, x, 0, &mut sums);
+            }
+            if S::SUMS >= TILE_SUMS && E::STEP == 2 {
+                self.pixels::<S, { STRIP / 2 }>(frame, y, x, 0, &mut sums);
+            }
+            S::add(E::gather::<S>(&sums), S::splat(self.bias))
+        }
+    }
+
+    /// Fills `N` sums from the `first`, each of as many pixels as a multiplication takes.
+    ///
+    /// # Safety
+    /// As for `run`; the pixels lie within the row.
+    #[inline(always)]
+    unsafe fn pixels<S: Simd, const N: usize>(
+        &self,
+        frame: &Frame,
+        y: usize,
+        x: usize,
+        first: usize,
+        to: &mut [S::V; LANES],
+    ) {
+        let numbers = LANES * E::STEP;
         // SAFETY: the halo covers the windows; the weights are as many as blocks and taps.
         unsafe {
             let base = frame.arena.cast::<E::T>().cast_const();
-            let mut weights = self.weights.as_ptr().cast::<f32>();
+            let mut weights = self.weights.as_ptr().cast::<E::T>();
             let mut sums = [S::splat(0.0); N];
             for block in &self.inputs {
-                let corner = block.origin + y * block.row + x * LANES;
-                let corner = base.add(corner - reach * block.row - reach * LANES);
+                let corner = base.add(self.corner(block, y, x + first * E::STEP));
+                let below = corner.wrapping_add(self.kernel * block.row);
+                for at in (0..N * numbers).step_by(LINE / size_of::<E::T>()) {
+                    S::expect_read(below.wrapping_add(at).cast());
+                }
                 for ky in 0..self.kernel {
                     for kx in 0..self.kernel {
-                        let w = S::load(weights);
-                        weights = weights.add(LANES);
                         let input = corner.add(ky * block.row + kx * LANES);
-                        for (pixel, sum) in sums.iter_mut().enumerate() {
-                            let x = E::load::<S>(input.add(pixel * LANES));
-                            *sum = S::mul_add(x, w, *sum);
+                        for _ in 0..E::PARTS {
+                            let w = E::weights::<S>(weights);
+                            weights = weights.add(numbers);
+                            for (index, sum) in sums.iter_mut().enumerate() {
+                                let x = E::weights::<S>(input.add(index * numbers));
+                                *sum = E::mul_add::<S>(x, w, *sum);
+                            }
                         }
                     }
                 }
             }
-            std::array::from_fn(|pixel| S::sum(sums[pixel]) + self.bias)
+            to[first..first + N].copy_from_slice(&sums);
+        }
+    }
+
+    /// The sum of one pixel.
+    ///
+    /// # Safety
+    /// As for `run`; the pixel lies within the row.
+    #[inline(always)]
+    unsafe fn pixel<S: Simd>(&self, frame: &Frame, y: usize, x: usize) -> f32 {
+        // SAFETY: the halo covers the window; the weights are as many as blocks and taps.
+        unsafe {
+            let base = frame.arena.cast::<E::T>().cast_const();
+            let mut weights = self.weights.as_ptr().cast::<E::T>();
+            let mut sum = S::splat(0.0);
+            for block in &self.inputs {
+                let corner = base.add(self.corner(block, y, x));
+                for ky in 0..self.kernel {
+                    for kx in 0..self.kernel {
+                        let x = E::load::<S>(corner.add(ky * block.row + kx * LANES));
+                        for _ in 0..E::PARTS {
+                            sum = S::mul_add(x, E::load::<S>(weights), sum);
+                            weights = weights.add(LANES * E::STEP);
+                        }
+                    }
+                }
+            }
+            S::sum(sum) + self.bias
         }
     }
 }
@@ -141,14 +221,16 @@ impl<E: Element> Kernel for GateRows<'_, E> {
             // SAFETY: the scratch holds a padded row; planes and the caller's slices hold all
             // rows; the features of `kept` have the gate's size.
             unsafe {
-                let mut x = 0;
-                while x + STRIP <= width {
-                    let sums = op.strip::<S, STRIP>(frame, y, x);
-                    row.add(x).cast::<[f32; STRIP]>().write_unaligned(sums);
-                    x += STRIP;
-                }
-                for x in x..width {
-                    row.add(x).write(op.strip::<S, 1>(frame, y, x)[0]);
+                // The last strip overlaps the one before it where the width is no multiple.
+                for x in (0..width).step_by(STRIP) {
+                    if width >= STRIP {
+                        let x = x.min(width - STRIP);
+                        S::store(row.add(x), op.strip::<S>(frame, y, x));
+                    } else {
+                        for x in 0..width {
+                            row.add(x).write(op.pixel::<S>(frame, y, x));
+                        }
+                    }
                 }
                 for x in width..width.next_multiple_of(LANES) {
                     row.add(x).write(0.0);
@@ -208,6 +290,7 @@ unsafe fn keep<S: Simd, E: Element>(
             // SAFETY: passed on from the caller.
             unsafe {
                 let value = E::load::<S>(arena.add(from.at(block, y, x)));
+                S::expect_write(arena.wrapping_add(to.at(block, y + 1, x)).cast());
                 let kept = S::mul(value, S::splat(*row.add(x)));
                 E::store::<S>(arena.add(to.at(block, y, x)), kept);
             }

@@ -37,6 +37,10 @@
 //! `unsafe` is confined to this crate. Its kernels trust three things, all established when a
 //! program is built: the processor has the instructions, every offset lies within the arena, and
 //! no two threads touch the same rows between two barriers.
+//!
+//! Training works on plain planes instead ([`PlaneConv`], [`PlaneFilter`], [`adam_update`]): each
+//! call checks its operands, runs on rayon's current pool and gives the same bits on any number of
+//! threads.
 
 mod activation;
 mod conv;

@@ -198,6 +198,32 @@ fn gain_residual_activation_and_store_follow_the_sum() {
 }
 
 #[test]
+fn few_outputs_share_the_lanes_with_their_inputs() {
+    for options in every_way() {
+        for outputs in 1..=9 {
+            for inputs in [vec![1], vec![2, 3], vec![5], vec![8], vec![16, 7]] {
+                for (kernel, stride) in [(3, 1), (3, 2), (1, 1)] {
+                    let case = Case {
+                        inputs: inputs.clone(),
+                        kernel,
+                        stride,
+                        residual: outputs % 2 == 0,
+                        activation: Activation::LeakyRelu,
+                        store: if outputs % 3 == 0 && stride == 1 {
+                            Store::Nearest
+                        } else {
+                            Store::Direct
+                        },
+                        ..Case::plain(size(3, 16 + outputs), 0, outputs)
+                    };
+                    case.check(options);
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn wide_layers_keep_the_gate() {
     // 2304 terms per sum, and weights beyond the second-level cache.
     for options in every_way() {

@@ -31,6 +31,8 @@ fn gates_weigh_what_they_keep() {
             ([5, 20], 3, size(4, 9)),
             ([16, 1], 1, size(3, 33)),
             ([2, 2], 5, size(1, 1)),
+            ([8, 33], 3, size(2, 16)),
+            ([16, 24], 3, size(3, 47)),
         ] {
             gate(options, inputs, kernel, shape);
         }

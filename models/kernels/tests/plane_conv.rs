@@ -110,7 +110,8 @@ impl Case {
         });
         let wanted: Vec<f64> = sums.iter().map(|x| self.activation.exact(*x)).collect();
         let out = conv.forward();
-        self.compare("forward", isa, &out, &wanted);
+        // No activation is steeper than one: the sums' rounding bounds that of what it returns.
+        self.compare_at(largest(&sums), "forward", isa, &out, &wanted);
 
         let inner: Vec<f64> = (0..out.len())
             .map(|at| f64::from(operands.grad[at]) * slope(self.activation, f64::from(out[at])))
@@ -146,8 +147,11 @@ impl Case {
     }
 
     fn compare(&self, what: &str, isa: Isa, got: &[f32], wanted: &[f64]) {
+        self.compare_at(largest(wanted), what, isa, got, wanted);
+    }
+
+    fn compare_at(&self, scale: f64, what: &str, isa: Isa, got: &[f32], wanted: &[f64]) {
         assert_eq!(got.len(), wanted.len(), "{what}");
-        let scale = wanted.iter().fold(1f64, |most, x| most.max(x.abs()));
         for (i, (g, w)) in got.iter().zip(wanted).enumerate() {
             assert!(
                 (f64::from(*g) - w).abs() <= 1e-5 * scale,
@@ -157,6 +161,10 @@ impl Case {
             );
         }
     }
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(1f64, |most, x| most.max(x.abs()))
 }
 
 /// Slope of an activation from what it returned.
@@ -190,6 +198,7 @@ fn sizes_of_every_kind() {
         (1, 1),
         (2, 3),
         (5, 1),
+        (5, 43),
         (7, 10),
         (8, 8),
         (6, 16),

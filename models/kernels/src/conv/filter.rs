@@ -1,6 +1,6 @@
 //! Weights of a convolution in the order its kernel reads them.
 
-use crate::element::Element;
+use crate::element::{Element, Product};
 use crate::memory::Memory;
 use crate::simd::LANES;
 
@@ -38,7 +38,7 @@ pub(crate) struct Group {
     pub(crate) offset: usize,
 }
 
-/// Weights `[group][input block][ky][kx][step][block of group][16 outputs x step]`, and biases
+/// Weights `[group][input block][ky][kx][step][block of group][outputs x step]`, and biases
 /// `[variant][output block][16]`; both padded with zeros.
 pub(crate) struct Filter {
     weights: Memory,
@@ -64,7 +64,7 @@ impl Dense<'_> {
 
 impl Filter {
     /// `bias` holds one value per output channel, once per variant.
-    pub(crate) fn pack<E: Element>(
+    pub(crate) fn pack<E: Element, P: Product<T = E::T>>(
         dense: Dense<'_>,
         bias: &[f32],
         inputs: &[Lanes],
@@ -84,9 +84,9 @@ impl Filter {
             let outputs = &outputs[first..first + count];
             for lanes in inputs {
                 for tap in 0..dense.kernel * dense.kernel {
-                    for step in lanes.chunks(E::STEP) {
+                    for step in lanes.chunks(P::STEP) {
                         for output in outputs {
-                            pack_step::<E>(dense, step, output, tap, &mut values);
+                            pack_step::<E, P>(dense, step, output, tap, &mut values);
                         }
                     }
                 }
@@ -110,10 +110,10 @@ impl Filter {
     }
 
     /// The first weight of `group`.
-    pub(crate) fn weights<E: Element>(&self, group: &Group) -> *const E::T {
+    pub(crate) fn weights<P: Product>(&self, group: &Group) -> *const P::T {
         self.weights
             .as_ptr()
-            .cast::<E::T>()
+            .cast::<P::T>()
             .wrapping_add(group.offset)
     }
 
@@ -132,16 +132,16 @@ impl Filter {
     }
 }
 
-/// Sixteen outputs by one step of inputs, a step's inputs beside each other.
-fn pack_step<E: Element>(
+/// One multiplication's outputs by one step of inputs, a step's inputs beside each other.
+fn pack_step<E: Element, P: Product<T = E::T>>(
     dense: Dense<'_>,
     step: &[usize],
     outputs: &[usize],
     tap: usize,
     values: &mut Vec<E::T>,
 ) {
-    for lane in 0..LANES {
-        for input in 0..E::STEP {
+    for lane in 0..P::OUTPUTS {
+        for input in 0..P::STEP {
             let value = match (outputs.get(lane), step.get(input)) {
                 (Some(&output), Some(&input)) => dense.at(output, input, tap),
                 _ => 0.0,

@@ -10,11 +10,10 @@ use std::ops::Range;
 pub use finish::Store;
 
 pub(crate) use filter::{Dense, Filter, Group, consecutive, shuffled};
-use finish::LINE;
-pub(crate) use finish::{Finish, Gain, Spot};
+pub(crate) use finish::{Finish, Gain, LINE, Spot};
 pub(crate) use tile::{InBlock, TILE_SUMS, TileArgs, TileFn, group_sizes, tile_fn, tile_pixels};
 
-use crate::element::Element;
+use crate::element::{Element, Product};
 use crate::layout::{Frame, Place, Size};
 use crate::simd::{Kernel, LANES, Simd};
 
@@ -43,7 +42,7 @@ pub(crate) struct ConvOp<E: Element> {
 }
 
 /// The blocks of `features` for a tile's loop.
-pub(crate) fn in_blocks<E: Element>(features: &[Place]) -> Vec<InBlock> {
+pub(crate) fn in_blocks<P: Product>(features: &[Place]) -> Vec<InBlock> {
     let mut blocks = Vec::new();
     for place in features {
         for block in 0..place.block_count() {
@@ -51,7 +50,7 @@ pub(crate) fn in_blocks<E: Element>(features: &[Place]) -> Vec<InBlock> {
             blocks.push(InBlock {
                 origin: place.at(block, 0, 0),
                 row: place.row,
-                steps: channels.div_ceil(E::STEP),
+                steps: channels.div_ceil(P::STEP),
             });
         }
     }
@@ -67,6 +66,21 @@ impl<E: Element> ConvOp<E> {
         stride: usize,
         finish: Finish,
     ) -> Self {
+        // Half of the lanes would idle.
+        let is_narrow = finish.out.channels <= E::Narrow::OUTPUTS;
+        if is_narrow && finish.store != Store::Shuffle {
+            return Self::with::<S, E::Narrow>(inputs, dense, bias, stride, finish);
+        }
+        Self::with::<S, E>(inputs, dense, bias, stride, finish)
+    }
+
+    fn with<S: Simd, P: Product<T = E::T>>(
+        inputs: &[Place],
+        dense: Dense<'_>,
+        bias: &[f32],
+        stride: usize,
+        finish: Finish,
+    ) -> Self {
         let channels = finish.out.channels;
         let outputs = match finish.store {
             Store::Shuffle => shuffled(channels),
@@ -74,7 +88,7 @@ impl<E: Element> ConvOp<E> {
         };
         let lanes = consecutive(inputs.iter().map(|place| place.channels));
         let sizes = group_sizes::<S>(outputs.len(), 3);
-        let filter = Filter::pack::<E>(dense, bias, &lanes, &outputs, &sizes);
+        let filter = Filter::pack::<E, P>(dense, bias, &lanes, &outputs, &sizes);
         let scale = finish.store.scale();
         let size = Size {
             height: finish.out.size.height / scale,
@@ -85,12 +99,12 @@ impl<E: Element> ConvOp<E> {
             Stripe {
                 group: *group,
                 pixels,
-                tile: tile_fn::<S, E>(stride, pixels, group.count)
+                tile: tile_fn::<S, P>(stride, pixels, group.count)
                     .expect("groups and tiles are chosen among the compiled shapes"),
             }
         });
         Self {
-            inputs: in_blocks::<E>(inputs),
+            inputs: in_blocks::<P>(inputs),
             kernel: dense.kernel,
             stride,
             stripes: stripes.collect(),

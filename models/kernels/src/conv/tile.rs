@@ -2,7 +2,7 @@
 
 use std::marker::PhantomData;
 
-use crate::element::Element;
+use crate::element::Product;
 use crate::simd::{Kernel, LANES, Simd};
 
 /// Most pixels times blocks one tile may have.
@@ -38,13 +38,13 @@ pub(crate) struct TileArgs<'a, T> {
 /// A compiled tile of some shape.
 pub(crate) type TileFn<T> = unsafe fn(&TileArgs<'_, T>);
 
-struct Tile<'a, E: Element, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> {
-    args: &'a TileArgs<'a, E::T>,
-    format: PhantomData<E>,
+struct Tile<'a, P: Product, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> {
+    args: &'a TileArgs<'a, P::T>,
+    format: PhantomData<P>,
 }
 
-impl<E: Element, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> Kernel
-    for Tile<'_, E, STRIDE, PIXELS, BLOCKS>
+impl<P: Product, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> Kernel
+    for Tile<'_, P, STRIDE, PIXELS, BLOCKS>
 {
     #[inline(always)]
     unsafe fn run<S: Simd>(self) {
@@ -65,7 +65,9 @@ impl<E: Element, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> 
             let mut sums = [[S::splat(0.0); BLOCKS]; PIXELS];
             for pixel in &mut sums {
                 for (block, sum) in pixel.iter_mut().enumerate() {
-                    *sum = S::load(bias.add(block * LANES));
+                    if P::OUTPUTS == LANES {
+                        *sum = S::load(bias.add(block * LANES));
+                    }
                 }
             }
             for block in blocks {
@@ -77,31 +79,35 @@ impl<E: Element, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> 
                     for kx in 0..kernel {
                         let mut input = corner.add(ky * row + kx * LANES);
                         for _ in 0..block.steps {
-                            let w: [E::W<S>; BLOCKS] = std::array::from_fn(|block| {
-                                E::weights::<S>(weights.add(block * LANES * E::STEP))
+                            let w: [P::W<S>; BLOCKS] = std::array::from_fn(|block| {
+                                P::weights::<S>(weights.add(block * P::OUTPUTS * P::STEP))
                             });
                             // Pixel by pixel with its place known, so that every address is the
                             // input's plus a constant.
                             macro_rules! pixels {
                                 ($($pixel:literal)*) => {
                                     $(if $pixel < PIXELS {
-                                        let x = E::spread::<S, $pixel, STRIDE>(input);
+                                        let x = P::spread::<S, $pixel, STRIDE>(input);
                                         for (sum, w) in sums[$pixel].iter_mut().zip(&w) {
-                                            *sum = E::mul_add::<S>(x, *w, *sum);
+                                            *sum = P::mul_add::<S>(x, *w, *sum);
                                         }
                                     })*
                                 };
                             }
                             pixels!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
-                            weights = weights.add(BLOCKS * LANES * E::STEP);
-                            input = input.add(E::STEP);
+                            weights = weights.add(BLOCKS * P::OUTPUTS * P::STEP);
+                            input = input.add(P::STEP);
                         }
                     }
                 }
             }
             for (pixel, sums) in sums.iter().enumerate() {
                 for (block, sum) in sums.iter().enumerate() {
-                    S::store(out.add((block * PIXELS + pixel) * LANES), *sum);
+                    let mut sum = P::close::<S>(*sum);
+                    if P::OUTPUTS != LANES {
+                        sum = S::add(sum, S::load(bias.add(block * LANES)));
+                    }
+                    S::store(out.add((block * PIXELS + pixel) * LANES), sum);
                 }
             }
         }
@@ -112,14 +118,14 @@ impl<E: Element, const STRIDE: usize, const PIXELS: usize, const BLOCKS: usize> 
 /// The processor has the instructions of `S`, and `args` is as the kernel above wants it.
 unsafe fn tile<
     S: Simd,
-    E: Element,
+    P: Product,
     const STRIDE: usize,
     const PIXELS: usize,
     const BLOCKS: usize,
 >(
-    args: &TileArgs<'_, E::T>,
+    args: &TileArgs<'_, P::T>,
 ) {
-    let kernel = Tile::<E, STRIDE, PIXELS, BLOCKS> {
+    let kernel = Tile::<P, STRIDE, PIXELS, BLOCKS> {
         args,
         format: PhantomData,
     };
@@ -128,16 +134,16 @@ unsafe fn tile<
 }
 
 /// The compiled tile for `pixels` by `blocks`; shapes beyond the registers have none.
-fn select<S: Simd, E: Element, const STRIDE: usize>(
+fn select<S: Simd, P: Product, const STRIDE: usize>(
     pixels: usize,
     blocks: usize,
-) -> Option<TileFn<E::T>> {
+) -> Option<TileFn<P::T>> {
     macro_rules! shapes {
         ($($blocks:literal: $($pixels:literal)*;)*) => {
             match (pixels, blocks) {
                 $($(($pixels, $blocks) => {
                     if $pixels * $blocks <= S::SUMS {
-                        Some(tile::<S, E, STRIDE, $pixels, $blocks>)
+                        Some(tile::<S, P, STRIDE, $pixels, $blocks>)
                     } else {
                         None
                     }
@@ -154,14 +160,14 @@ fn select<S: Simd, E: Element, const STRIDE: usize>(
 }
 
 /// As [`select`], by stride (1 or 2).
-pub(crate) fn tile_fn<S: Simd, E: Element>(
+pub(crate) fn tile_fn<S: Simd, P: Product>(
     stride: usize,
     pixels: usize,
     blocks: usize,
-) -> Option<TileFn<E::T>> {
+) -> Option<TileFn<P::T>> {
     match stride {
-        1 => select::<S, E, 1>(pixels, blocks),
-        2 => select::<S, E, 2>(pixels, blocks),
+        1 => select::<S, P, 1>(pixels, blocks),
+        2 => select::<S, P, 2>(pixels, blocks),
         _ => None,
     }
 }

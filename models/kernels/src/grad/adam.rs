@@ -61,9 +61,9 @@ mod tests {
         };
         let (mut w, mut m, mut v) = ([1.0f32, 1.0], [0.0; 2], [0.0; 2]);
         adam_update(&mut w, &mut m, &mut v, &[4.0, -0.2], rates);
-        for (w, wanted) in w.iter().zip([0.99, 1.01]) {
-            assert!((w - wanted).abs() < 1e-5, "{w} {wanted}");
+        let got = w.iter().chain(&m);
+        for (got, wanted) in got.zip([0.99, 1.01, 0.2, -0.01]) {
+            assert!((got - wanted).abs() < 1e-5, "{got} {wanted}");
         }
-        assert_eq!(m, [0.2, -0.01]);
     }
 }

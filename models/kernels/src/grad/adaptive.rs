@@ -77,6 +77,11 @@ impl PlaneFilter<'_> {
         self.width + self.reach
     }
 
+    /// Places from the first pixel of a stretch to its last, in scratch memory.
+    fn span(&self, stretch: Stretch) -> usize {
+        stretch.count * self.row() - self.reach
+    }
+
     /// Rows of a stretch; a function of the sizes alone.
     fn stretch_rows(&self) -> usize {
         let per_pixel = self.filters * (2 * self.taps.len() + 2 * self.atom_count())
@@ -147,7 +152,7 @@ impl PlaneFilter<'_> {
         (first, count): (usize, usize),
         to: &Fresh,
     ) {
-        let planes = sums.chunks_exact(sums_row(stretch.count * self.row()));
+        let planes = sums.chunks_exact(sums_row(self.span(stretch)));
         for (i, sums) in planes.enumerate() {
             let plane = stretch.picture * count + first + i;
             let start = plane * self.plane() + stretch.first * self.width;
@@ -348,7 +353,7 @@ impl Kernel for Forward<'_> {
         let (kernels, sums) = rest.split_at_mut(plan.sums(plan.kernel_planes()));
         filter.copy_planes(filter.x, stretch, x);
         filter.copy_planes(filter.coefficients, stretch, coefficients);
-        let len = stretch.count * filter.row();
+        let len = filter.span(stretch);
         let (row, wide, taps) = (sums_row(len), filter.wide_len(), filter.taps.len());
         let planes = plan.result_planes();
         // SAFETY: the caller vouches for the instructions. Tiles read `row` values at an offset
@@ -443,11 +448,7 @@ impl Kernel for Backward<'_> {
         filter.copy_planes(filter.x, stretch, x);
         filter.copy_planes(filter.coefficients, stretch, coefficients);
         filter.copy_planes(grad, stretch, inner);
-        let (len, wide, taps) = (
-            stretch.count * filter.row(),
-            filter.wide_len(),
-            filter.taps.len(),
-        );
+        let (len, wide, taps) = (filter.span(stretch), filter.wide_len(), filter.taps.len());
         let (row, kernel_row) = (sums_row(len), sums_row(wide));
         let (channels, filters, atoms) = (filter.channels, filter.filters, filter.atom_count());
         // SAFETY: the caller vouches for the instructions. Tiles read `row` values at an offset

@@ -245,7 +245,7 @@ impl Kernel for Forward<'_> {
             offsets,
             weights,
             outputs: g.outputs,
-            len: stretch.count * g.row(),
+            len: g.span(stretch.count),
         };
         // SAFETY: the caller vouches for the instructions.
         unsafe {
@@ -257,7 +257,7 @@ impl Kernel for Forward<'_> {
 
 impl Forward<'_> {
     fn scratch_len(g: &Geometry) -> usize {
-        seen_len(g) + g.outputs * sums_row(g.stretch_rows() * g.row())
+        seen_len(g) + g.outputs * sums_row(g.span(g.stretch_rows()))
     }
 }
 
@@ -275,7 +275,7 @@ impl PlaneConv<'_> {
     unsafe fn finish<S: Simd>(&self, stretch: Stretch, sums: &[f32], to: &Fresh) {
         let g = &self.geometry;
         let (height, width) = (g.out_height(), g.out_width());
-        let channels = sums.chunks_exact(sums_row(stretch.count * g.row()));
+        let channels = sums.chunks_exact(sums_row(g.span(stretch.count)));
         for (output, sums) in channels.enumerate().take(g.outputs) {
             let plane = (stretch.picture * g.outputs + output) * height * width;
             let start = plane + stretch.first * width;
@@ -427,7 +427,7 @@ impl Shared<'_> {
         part: &mut [f32],
     ) {
         let g = &self.conv.geometry;
-        let len = stretch.count * g.row();
+        let len = g.span(stretch.count);
         let (weights, bias) = part.split_at_mut(g.outputs * g.taps());
         let products = Products {
             source,

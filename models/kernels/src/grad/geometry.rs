@@ -104,6 +104,11 @@ impl Geometry {
         height.div_ceil(height.div_ceil(rows))
     }
 
+    /// Places from the first output of a stretch of `rows` to its last, in scratch memory.
+    pub(super) fn span(&self, rows: usize) -> usize {
+        rows * self.row() - self.reach()
+    }
+
     /// All pictures, cut into stretches of rows.
     pub(super) fn stretches(&self) -> Vec<Stretch> {
         let (height, rows) = (self.out_height(), self.stretch_rows());

@@ -28,11 +28,11 @@ pub(super) fn with_scratch<R>(len: usize, work: impl FnOnce(&mut [f32]) -> R) ->
 }
 
 /// Results of `work` for every index below `count`, in order.
-pub(super) fn each<R: Send>(count: usize, work: impl Fn(usize) -> R + Sync) -> Vec<R> {
+pub(super) fn each<R: Send>(count: usize, work: impl Fn(usize) -> R + Send + Sync) -> Vec<R> {
     if count <= 1 || rayon::current_num_threads() == 1 {
         (0..count).map(work).collect()
     } else {
-        (0..count).into_par_iter().map(|i| work(i)).collect()
+        (0..count).into_par_iter().map(work).collect()
     }
 }
 

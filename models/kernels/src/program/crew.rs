@@ -1,8 +1,10 @@
-//! The threads that work on one program together, and the barrier between its operations.
+//! The threads that work on one program together, the barrier between its operations, and how
+//! they share one operation's work.
 //!
 //! The caller is the first of the crew; the others are spawned once, each bound to a processor
-//! of its own, and wait by spinning for a while and then parking. Nothing here allocates or locks
-//! after the crew stands.
+//! of its own. Who waits spins for a while and then sleeps, the caller too: on a busy machine the
+//! thread it waits for may need its processor. Nothing here allocates or locks after the crew
+//! stands.
 
 use std::cell::UnsafeCell;
 use std::ops::Range;

@@ -3,6 +3,8 @@
 mod arena;
 mod builder;
 mod crew;
+#[cfg(test)]
+mod handshake;
 mod lower;
 mod profile;
 mod spec;

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use super::builder::{Builder, Described};
 use super::crew::Barrier;
-use super::spec::{Feature, Spec};
+use super::spec::{Emit, Feature, Output, Spec};
 use crate::garf::Taps;
 
 /// One operation of one pass: its work and its time.
@@ -168,9 +168,7 @@ fn work(builder: &Builder, spec: &Spec) -> Work {
             scale: 1,
             macs: weight.len(),
             weights: weight.len(),
-            others: (usize::from(plane.is_some()) + usize::from(output.is_some()))
-                * area(&inputs[0])
-                * float,
+            others: (usize::from(plane.is_some()) + emitted(output)) * area(&inputs[0]) * float,
         },
         Spec::Garf {
             x,
@@ -194,6 +192,15 @@ fn work(builder: &Builder, spec: &Spec) -> Work {
                 others: area(x) * float,
             }
         }
+    }
+}
+
+/// Planes of the caller's that a gate's output reads and writes.
+fn emitted(output: &Option<(Output, Emit)>) -> usize {
+    match output {
+        None => 0,
+        Some((_, Emit::Scaled(_))) => 1,
+        Some((_, Emit::Factor { .. })) => 2,
     }
 }
 
@@ -226,10 +233,13 @@ impl Times {
 }
 
 impl Watch<'_> {
-    /// Does `work` between two barriers; the first thread of the crew times it.
+    /// Does `work` between two barriers; the first thread of the crew times it. Nobody starts
+    /// before it has read its clock: a thread that loses its processor there would otherwise find
+    /// its work done by the others, and almost no time gone.
     pub(super) fn around(&self, thread: usize, place: usize, work: impl FnOnce()) {
         self.barrier.wait();
         let started = Instant::now();
+        self.barrier.wait();
         work();
         self.barrier.wait();
         if thread == 0 {

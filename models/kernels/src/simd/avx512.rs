@@ -49,6 +49,43 @@ unsafe fn broadcast_pair<const PIXEL: usize, const STRIDE: usize>(from: *const u
     pairs
 }
 
+/// Eight bytes into every lane, by the load unit alone; `NUMBER` is the bytes of a stored number.
+#[inline]
+#[target_feature(enable = "avx512f")]
+unsafe fn broadcast_eight<const NUMBER: usize, const PIXEL: usize, const STRIDE: usize>(
+    from: *const u8,
+) -> __m512i {
+    let lanes: __m512i;
+    std::arch::asm!(
+        "vpbroadcastq {lanes}, qword ptr [{from} + {offset}]",
+        lanes = lateout(zmm_reg) lanes,
+        from = in(reg) from,
+        offset = const PIXEL * STRIDE * LANES * NUMBER,
+        options(pure, readonly, nostack, preserves_flags),
+    );
+    lanes
+}
+
+/// Per 128 bits: the sums of the four lanes of four vectors from the `first`.
+#[inline(always)]
+unsafe fn quarter_sums(x: &[__m512], first: usize) -> __m512 {
+    let (a, b, c, d) = (x[first], x[first + 1], x[first + 2], x[first + 3]);
+    let ab = _mm512_add_ps(_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+    let cd = _mm512_add_ps(_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
+    let (ab, cd) = (_mm512_castps_pd(ab), _mm512_castps_pd(cd));
+    let (low, high) = (_mm512_unpacklo_pd(ab, cd), _mm512_unpackhi_pd(ab, cd));
+    _mm512_add_ps(_mm512_castpd_ps(low), _mm512_castpd_ps(high))
+}
+
+/// The sums of the lower and of the upper two 128 bits of `a`, then of `b`.
+#[inline(always)]
+unsafe fn half_sums(a: __m512, b: __m512) -> __m512 {
+    _mm512_add_ps(
+        _mm512_shuffle_f32x4::<0b10_00_10_00>(a, b),
+        _mm512_shuffle_f32x4::<0b11_01_11_01>(a, b),
+    )
+}
+
 impl<const BF16: bool> Simd for Avx512<BF16> {
     type V = __m512;
     type Pairs = __m512i;
@@ -134,6 +171,35 @@ impl<const BF16: bool> Simd for Avx512<BF16> {
             let from = from.add(PIXEL * STRIDE * LANES);
             _mm512_set1_epi32(from.cast::<i32>().read_unaligned())
         }
+    }
+    #[inline(always)]
+    unsafe fn spread_two<const PIXEL: usize, const STRIDE: usize>(from: *const f32) -> __m512 {
+        _mm512_castsi512_ps(broadcast_eight::<4, PIXEL, STRIDE>(from.cast()))
+    }
+    #[inline(always)]
+    unsafe fn spread_two_pairs<const PIXEL: usize, const STRIDE: usize>(
+        from: *const u16,
+    ) -> __m512i {
+        broadcast_eight::<2, PIXEL, STRIDE>(from.cast())
+    }
+    #[inline(always)]
+    unsafe fn fold(x: __m512) -> __m512 {
+        let swapped = _mm512_permute_ps::<0b10_11_00_01>(x);
+        let even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 0, 0, 0, 0, 0, 0, 0, 0);
+        _mm512_maskz_permutexvar_ps(0xff, even, _mm512_add_ps(x, swapped))
+    }
+    #[inline(always)]
+    unsafe fn sum_each(x: &[__m512; LANES]) -> __m512 {
+        let (a, b) = (quarter_sums(x, 0), quarter_sums(x, 4));
+        let (c, d) = (quarter_sums(x, 8), quarter_sums(x, 12));
+        half_sums(half_sums(a, b), half_sums(c, d))
+    }
+    #[inline(always)]
+    unsafe fn sum_halves(x: &[__m512; LANES / 2]) -> __m512 {
+        // Lower halves of 0 to 3, upper ones of 0 to 3, then of 4 to 7.
+        let halves = half_sums(quarter_sums(x, 0), quarter_sums(x, 4));
+        let order = _mm512_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7, 8, 12, 9, 13, 10, 14, 11, 15);
+        _mm512_permutexvar_ps(order, halves)
     }
     #[inline(always)]
     unsafe fn expect_read(at: *const u8) {

@@ -57,6 +57,67 @@ pub(crate) trait Simd: Copy + Send + Sync + 'static {
     /// Sum of the lanes.
     unsafe fn sum(x: Self::V) -> f32;
 
+    /// The sums of the lanes of each.
+    unsafe fn sum_each(x: &[Self::V; LANES]) -> Self::V {
+        let mut sums = [0.0; LANES];
+        for (sum, x) in sums.iter_mut().zip(x) {
+            // SAFETY: passed on from the caller.
+            *sum = unsafe { Self::sum(*x) };
+        }
+        // SAFETY: the array holds as many values as are read.
+        unsafe { Self::load(sums.as_ptr()) }
+    }
+    /// The sums of the lower eight lanes of each, and of the upper eight, in turn.
+    unsafe fn sum_halves(x: &[Self::V; LANES / 2]) -> Self::V {
+        let mut sums = [0.0; LANES];
+        for (pair, x) in sums.chunks_exact_mut(2).zip(x) {
+            let mut lanes = [0.0; LANES];
+            // SAFETY: the array holds as many values as are written.
+            unsafe { Self::store(lanes.as_mut_ptr(), *x) };
+            let (lower, upper) = lanes.split_at(LANES / 2);
+            pair[0] = lower.iter().sum();
+            pair[1] = upper.iter().sum();
+        }
+        // SAFETY: the array holds as many values as are read.
+        unsafe { Self::load(sums.as_ptr()) }
+    }
+
+    /// The first of two numbers into even lanes, the second into odd ones; placed as in
+    /// [`Simd::spread_pair`].
+    unsafe fn spread_two<const PIXEL: usize, const STRIDE: usize>(from: *const f32) -> Self::V {
+        // SAFETY: passed on from the caller.
+        unsafe {
+            let two = from.add(PIXEL * STRIDE * LANES).cast::<[f32; 2]>();
+            let two = two.read_unaligned();
+            let lanes: [f32; LANES] = std::array::from_fn(|lane| two[lane % 2]);
+            Self::load(lanes.as_ptr())
+        }
+    }
+    /// The first of two pairs into even lanes, the second into odd ones; placed as in
+    /// [`Simd::spread_pair`].
+    unsafe fn spread_two_pairs<const PIXEL: usize, const STRIDE: usize>(
+        from: *const u16,
+    ) -> Self::Pairs {
+        // SAFETY: passed on from the caller.
+        unsafe {
+            let four = from.add(PIXEL * STRIDE * LANES).cast::<[u16; 4]>();
+            let four = four.read_unaligned();
+            let all: [u16; 2 * LANES] = std::array::from_fn(|i| four[i % 4]);
+            Self::load_pairs(all.as_ptr())
+        }
+    }
+    /// Sums of neighbouring lanes in the lower eight; zeros in the upper.
+    unsafe fn fold(x: Self::V) -> Self::V {
+        let (mut lanes, mut sums) = ([0.0; LANES], [0.0; LANES]);
+        // SAFETY: the arrays hold as many values as are written and read.
+        unsafe { Self::store(lanes.as_mut_ptr(), x) };
+        for (sum, pair) in sums.iter_mut().zip(lanes.chunks_exact(2)) {
+            *sum = pair[0] + pair[1];
+        }
+        // SAFETY: as above.
+        unsafe { Self::load(sums.as_ptr()) }
+    }
+
     /// Asks for a cache line that will be read; any address is allowed.
     unsafe fn expect_read(_at: *const u8) {}
     /// Asks for a cache line that will be written; any address is allowed.

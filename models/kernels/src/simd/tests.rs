@@ -51,6 +51,17 @@ impl Kernel for Arithmetic {
             check(S::splat(2.5), |_, _| 2.5);
             let sum: f64 = a.iter().copied().map(f64::from).sum();
             assert!((f64::from(S::sum(x)) - sum).abs() < 1e-4);
+            let many: [f32; LANES] = std::array::from_fn(|i| (i * i) as f32);
+            // Vector i holds lane numbers times i squared; sums of integers are exact.
+            let lanes: [f32; LANES] = std::array::from_fn(|l| l as f32);
+            let each = many.map(|m| S::mul(S::splat(m), S::load(lanes.as_ptr())));
+            let mut sums = [0.0; LANES];
+            S::store(sums.as_mut_ptr(), S::sum_each(&each));
+            assert_eq!(sums, many.map(|m| 120.0 * m));
+            let eight: [S::V; LANES / 2] = std::array::from_fn(|i| each[i]);
+            S::store(sums.as_mut_ptr(), S::sum_halves(&eight));
+            let half = |i: usize| many[i / 2] * if i % 2 == 0 { 28.0 } else { 92.0 };
+            assert_eq!(sums, std::array::from_fn(half));
             let nan = S::splat(f32::NAN);
             check(S::max(nan, x), |a, _| a);
             check(S::min(nan, x), |a, _| a);
