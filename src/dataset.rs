@@ -101,7 +101,8 @@ fn pair(
     let (mut exposures, mut seen) = (Vec::new(), 0);
     for bundle in bundles.try_iter() {
         seen += 1;
-        let Some(truth) = truth_at(&bundle.0, &truths).filter(|t| samples.contains(&t.index)) else {
+        let Some(truth) = truth_at(&bundle.0, &truths).filter(|t| samples.contains(&t.index))
+        else {
             continue;
         };
         if exposures.len() == EXPOSURES_MAX {
@@ -128,7 +129,10 @@ impl Scenes for RecordedScenes {
             scene: name.clone(),
             fault,
         };
-        let planes = self.layout.planes(payload).map_err(|e| fault(e.to_string()))?;
+        let planes = self
+            .layout
+            .planes(payload)
+            .map_err(|e| fault(e.to_string()))?;
         let size = Size::new(header.width as usize, header.height as usize);
         let mut scene = Scene {
             name: name.clone(),

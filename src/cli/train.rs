@@ -1,5 +1,6 @@
 //! `noctule train`: teaches a network on the synthetic night.
 
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
@@ -14,6 +15,8 @@ use super::{Failure, Outcome, progress, stop_on_signals};
 
 /// Time between lines about steps where standard error is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(30);
+/// Where candle reads the number of threads of its element-wise operations.
+const CANDLE_THREADS: &str = "RAYON_NUM_THREADS";
 
 /// Arguments of `noctule train`.
 #[derive(Debug, clap::Args)]
@@ -63,6 +66,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
     if let Some(threads) = arguments.threads {
         settings.threads = threads.max(1);
     }
+    hold_tensor_library_to(settings.threads);
     rayon::ThreadPoolBuilder::new()
         .num_threads(settings.threads)
         .build_global()?;
@@ -86,11 +90,31 @@ pub fn run(arguments: &Arguments) -> Outcome {
     match outcome {
         Ok(()) => Ok(()),
         Err(TrainError::Interrupted(folder)) => {
-            eprintln!("a checkpoint is in {}: go on with --resume", folder.display());
+            eprintln!(
+                "a checkpoint is in {}: go on with --resume",
+                folder.display()
+            );
             Err(Failure::Interrupted)
         }
         Err(error) => Err(error.into()),
     }
+}
+
+/// Starts this program again with the environment variable that candle reads its number of threads
+/// from: its workers wait by spinning, and more of them than processors cost a third of the time.
+fn hold_tensor_library_to(threads: usize) {
+    let wanted = threads.to_string();
+    if std::env::var(CANDLE_THREADS).is_ok_and(|held| held == wanted) {
+        return;
+    }
+    let Ok(program) = std::env::current_exe() else {
+        return;
+    };
+    let error = std::process::Command::new(program)
+        .args(std::env::args_os().skip(1))
+        .env(CANDLE_THREADS, wanted)
+        .exec();
+    eprintln!("{CANDLE_THREADS} could not be set ({error}): training may be slower");
 }
 
 fn default_folder(config: &Path) -> PathBuf {
