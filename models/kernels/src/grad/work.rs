@@ -32,7 +32,7 @@ pub(super) fn each<R: Send>(count: usize, work: impl Fn(usize) -> R + Sync) -> V
     if count <= 1 || rayon::current_num_threads() == 1 {
         (0..count).map(work).collect()
     } else {
-        (0..count).into_par_iter().map(|i| work(i)).collect()
+        (0..count).into_par_iter().map(&work).collect()
     }
 }
 
