@@ -191,8 +191,9 @@ fn full_equals_candle_over_eight_steps() {
     agrees(&Config::full(), 256, 256, PlanOptions::default());
 }
 
-/// Of untrained weights on noise, where nothing has learned to be smooth: mean error under 1 % of
-/// the mean depth. Trained weights are held to half of that on samples of the world.
+/// Of untrained weights on noise, where nothing has learned to be smooth and a factor of up to
+/// e^3 leaves with every pixel: mean error under 2 % of the mean depth, the same on every set of
+/// instructions. Trained weights are held to a quarter of that on samples of the world.
 #[test]
 fn brain_floats_stay_close() {
     for config in [Config::tiny(), Config::xs(), Config::s()] {
@@ -219,7 +220,7 @@ fn brain_floats_stay_close() {
             config.name,
             100.0 * share
         );
-        assert!(share < 1e-2, "{}: {share}", config.name);
+        assert!(share < 2e-2, "{}: {share}", config.name);
     }
 }
 

@@ -60,7 +60,7 @@ impl Kernel for Arithmetic {
             assert_eq!(sums, many.map(|m| 120.0 * m));
             let eight: [S::V; LANES / 2] = std::array::from_fn(|i| each[i]);
             S::store(sums.as_mut_ptr(), S::sum_halves(&eight));
-            let half = |i: usize| many[i / 2] * if i % 2 == 0 { 28.0 } else { 92.0 };
+            let half = |i: usize| many[i / 2] * if i.is_multiple_of(2) { 28.0 } else { 92.0 };
             assert_eq!(sums, std::array::from_fn(half));
             let nan = S::splat(f32::NAN);
             check(S::max(nan, x), |a, _| a);
