@@ -6,10 +6,12 @@
 use std::path::Path;
 
 use candle_core::{Device, Tensor};
+use noctule::bench::{InferPlan, bench_infer};
 use noctule::config::Config;
 use noctule::frame::{BundlePlanes, ModelId};
-use noctule::infer::{Engines, InferError};
+use noctule::infer::{Engines, InferError, shipped_weights};
 use noctule_erunet::{Config as Widths, Network, Norms, Weights};
+use noctule_kernels::Precision;
 
 /// A configuration for 64 x 96 pixels with weights of `xs` in `folder`, and those weights.
 fn set_up(folder: &Path, extra: &str) -> (Config, Weights) {
@@ -137,6 +139,36 @@ fn brain_floats_are_asked_for_by_configuration() {
     let bundle = Bundle::new(&single);
     let error = mean_error(&by_engines(&brain, &bundle), &by_engines(&single, &bundle));
     assert!(error > 0.0 && error < 0.1, "{error}");
+}
+
+/// The trained network on a night of the world: the compiled plan equals candle, and bfloat16 costs
+/// less than half a percent of the depth.
+#[test]
+fn shipped_weights_survive_compilation_and_brain_floats() {
+    let weights = shipped_weights(ModelId::Xs).unwrap();
+    let weights = Weights::from_bytes(weights, &Device::Cpu).unwrap();
+    let plan = InferPlan {
+        networks: vec![(weights.config().unwrap().clone(), weights)],
+        threads: vec![1],
+        precisions: vec![Precision::Single, Precision::Brain],
+        sizes: vec![256],
+        steps: vec![8],
+        rounds: 1,
+        reference: true,
+        layers: false,
+    };
+    let bench = bench_infer(&plan, &|_| {}).unwrap();
+    let shares: Vec<f64> = bench
+        .rows
+        .iter()
+        .map(|r| r.mean_err_share.unwrap())
+        .collect();
+    eprintln!(
+        "mean error over mean depth: f32 {:e}, bf16 {:e}",
+        shares[0], shares[1]
+    );
+    assert!(bench.rows[0].max_abs_err_m.unwrap() < 80.0 * 1e-4);
+    assert!(shares[1] < 5e-3);
 }
 
 #[test]

@@ -4,6 +4,8 @@ use std::path::Path;
 
 use candle_core::Device;
 use noctule::bench::{InferPlan, bench_infer};
+use noctule::frame::ModelId;
+use noctule::infer::shipped_weights;
 use noctule_erunet::{Config, Weights};
 use noctule_kernels::Precision;
 
@@ -81,7 +83,8 @@ pub fn run(arguments: &Arguments) -> Outcome {
     Ok(())
 }
 
-/// A member of the family or a file's network; speed does not depend on the numbers in it.
+/// A member of the family, with its own weights where they ship, or a file's network. Without
+/// weights random ones do: speed does not depend on them.
 fn network(name: &str) -> Result<(Config, Weights), Failure> {
     let config = match Config::member(name) {
         Ok(config) => config,
@@ -101,7 +104,11 @@ fn network(name: &str) -> Result<(Config, Weights), Failure> {
             Config::from_json(&text).map_err(|cause| refused(format!("{name}: {cause}")))?
         }
     };
-    let weights = Weights::initial(&config, 1, &Device::Cpu)?;
+    let model = name.parse::<ModelId>().ok();
+    let weights = match model.and_then(shipped_weights) {
+        Some(own) => Weights::from_bytes(own, &Device::Cpu)?,
+        None => Weights::initial(&config, 1, &Device::Cpu)?,
+    };
     Ok((config, weights))
 }
 

@@ -13,5 +13,7 @@ mod report;
 
 pub use engine::{Engines, InferError, Run};
 pub use ladder::{Choice, Ladder, Rung};
+#[cfg(feature = "model")]
+pub use network::shipped_weights;
 pub use process::{Options, run};
 pub use report::{InferReport, ModelCount};

@@ -16,6 +16,12 @@ use crate::frame::{BundleLayout, BundlePlanes, ModelId};
 /// The weights of `xs` (`models/weights/xs.md` says where they come from).
 const XS: &[u8] = include_bytes!("../../models/weights/xs.safetensors");
 
+/// The weights file of a network that is part of the program ([`config::SHIPPED`]).
+#[must_use]
+pub fn shipped_weights(model: ModelId) -> Option<&'static [u8]> {
+    (model == ModelId::Xs).then_some(XS)
+}
+
 /// The networks that were loaded.
 pub(super) struct Networks {
     by_model: BTreeMap<ModelId, Loaded>,
@@ -121,7 +127,11 @@ fn load(config: &Config, model: ModelId, device: &Device) -> Result<Loaded, Infe
             path: path.clone(),
             cause: Box::new(cause),
         })?,
-        None => Weights::from_bytes(XS, device).map_err(failed(model))?,
+        None => {
+            let reason = "no weights are named and none ship";
+            let own = shipped_weights(model).ok_or(InferError::Missing { model, reason })?;
+            Weights::from_bytes(own, device).map_err(failed(model))?
+        }
     };
     let family = match model {
         ModelId::S => noctule_erunet::Config::s(),

@@ -144,13 +144,7 @@ impl Work<'_> {
                 all.push(times.all);
             }
         }
-        let (max_abs_err_m, mean_abs_err_m) = match self.reference {
-            Some(reference) => {
-                let (max, mean) = errors(&maps, reference);
-                (Some(max), Some(mean))
-            }
-            None => (None, None),
-        };
+        let errors = self.reference.map(|reference| errors(&maps, reference));
         let layers = if self.layers {
             plan.profile(self.rounds.min(5))?
         } else {
@@ -168,8 +162,9 @@ impl Work<'_> {
             seconds_min: all.iter().copied().fold(f64::INFINITY, f64::min),
             first_step_seconds: median(&mut first),
             share_of_peak: 0.0,
-            max_abs_err_m,
-            mean_abs_err_m,
+            max_abs_err_m: errors.map(|e| e.max_m),
+            mean_abs_err_m: errors.map(|e| e.mean_m),
+            mean_err_share: errors.map(|e| e.mean_m / e.depth_m),
             arena_bytes,
             weight_bytes,
             layers: layers.into_iter().map(LayerRow::from).collect(),
@@ -182,19 +177,33 @@ fn median(values: &mut [f64]) -> f64 {
     values[values.len() / 2]
 }
 
-/// Largest and mean difference, metres.
-fn errors(maps: &Maps, reference: &Maps) -> (f64, f64) {
-    let (mut max, mut sum, mut count) = (0.0_f64, 0.0, 0_u32);
+/// How far depth maps are from candle's, metres.
+#[derive(Clone, Copy)]
+struct Errors {
+    max_m: f64,
+    mean_m: f64,
+    /// Mean of candle's depth.
+    depth_m: f64,
+}
+
+fn errors(maps: &Maps, reference: &Maps) -> Errors {
+    let (mut max_m, mut sum, mut depth, mut count) = (0.0_f64, 0.0, 0.0, 0_u32);
     for (map, wanted) in maps.iter().zip(reference) {
-        for (depth, wanted) in map.iter().zip(wanted) {
-            let error = f64::from((depth - wanted).abs());
+        for (got, wanted) in map.iter().zip(wanted) {
+            let error = f64::from((got - wanted).abs());
             // `max` would hide a NaN.
-            max = if error <= max { max } else { error };
+            max_m = if error <= max_m { max_m } else { error };
             sum += error;
+            depth += f64::from(*wanted);
             count += 1;
         }
     }
-    (max, sum / f64::from(count.max(1)))
+    let count = f64::from(count.max(1));
+    Errors {
+        max_m,
+        mean_m: sum / count,
+        depth_m: depth / count,
+    }
 }
 
 /// The definition's depth maps, in single precision.

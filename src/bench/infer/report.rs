@@ -36,6 +36,8 @@ pub struct InferRow {
     pub max_abs_err_m: Option<f64>,
     /// Mean difference.
     pub mean_abs_err_m: Option<f64>,
+    /// Mean difference over the mean of candle's depth.
+    pub mean_err_share: Option<f64>,
     /// Bytes of all features.
     pub arena_bytes: usize,
     /// Bytes of the packed weights.
@@ -154,7 +156,7 @@ impl InferBench {
             "min ms",
             "first ms",
             "of peak",
-            "max err mm",
+            "mean err",
             "arena MB",
         );
         for row in &self.rows {
@@ -170,8 +172,8 @@ impl InferBench {
 impl InferRow {
     fn write(&self, text: &mut String) {
         let error = self
-            .max_abs_err_m
-            .map_or_else(|| "-".to_owned(), |error| format!("{:.3}", error * 1e3));
+            .mean_err_share
+            .map_or_else(|| "-".to_owned(), |share| format!("{:.4}%", share * 1e2));
         #[expect(clippy::cast_precision_loss, reason = "shown with one decimal")]
         let arena_mb = self.arena_bytes as f64 / 1e6;
         let _ = writeln!(
