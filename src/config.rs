@@ -196,6 +196,13 @@ pub const THREADS_DEFAULT_MAX: usize = 4;
 /// Most threads a configuration may ask for.
 pub const THREADS_MAX: usize = 64;
 
+/// The networks whose weights are part of the program, cheapest first.
+pub const SHIPPED: &[ModelId] = if cfg!(feature = "model") {
+    &[ModelId::Xs]
+} else {
+    &[]
+};
+
 /// How numbers are stored; sums are always single precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -317,7 +324,7 @@ impl Default for Lidar {
 impl Default for Infer {
     fn default() -> Self {
         Self {
-            model: ModelId::Fill,
+            model: SHIPPED.last().copied().unwrap_or(ModelId::Fill),
             ladder: true,
             threads: 0,
             precision: Precision::F32,
@@ -475,8 +482,10 @@ impl Config {
             let reason = "a network is run by at most 64 threads";
             return refuse("infer.threads", &self.infer.threads, reason);
         }
-        if self.infer.model >= ModelId::Xs && !self.infer.weights.contains_key(&self.infer.model) {
-            let reason = "the model has no file under [infer.weights]";
+        let model = self.infer.model;
+        let is_there = self.infer.weights.contains_key(&model) || SHIPPED.contains(&model);
+        if model >= ModelId::Xs && !is_there {
+            let reason = "the model has no file under [infer.weights], and none ships";
             return refuse("infer.model", &self.infer.model, reason);
         }
         Ok(())

@@ -3,7 +3,7 @@
 //! On processors a network runs as a compiled plan; on a GPU as candle's network. Both come from
 //! the same weights.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use candle_core::{Device, Tensor};
 use noctule_erunet::{Network, Norms, Plan, PlanOptions, Sequence, Weights};
@@ -12,6 +12,9 @@ use noctule_kernels::{Isa, Precision};
 use super::InferError;
 use crate::config::{self, Config};
 use crate::frame::{BundleLayout, BundlePlanes, ModelId};
+
+/// The weights of `xs` (`models/weights/xs.md` says where they come from).
+const XS: &[u8] = include_bytes!("../../models/weights/xs.safetensors");
 
 /// The networks that were loaded.
 pub(super) struct Networks {
@@ -59,12 +62,17 @@ pub(super) fn plan_options(config: &Config) -> PlanOptions {
 }
 
 impl Networks {
-    /// Loads every weight file that the configuration names.
+    /// Loads every weight file that the configuration names, and the program's own networks up to
+    /// the model asked for.
     pub fn load(config: &Config) -> Result<Self, InferError> {
-        let device = device(config)?;
+        let own = config::SHIPPED.iter().filter(|m| **m <= config.infer.model);
+        let models: BTreeSet<ModelId> = config.infer.weights.keys().chain(own).copied().collect();
         let mut by_model = BTreeMap::new();
-        for &model in config.infer.weights.keys() {
-            by_model.insert(model, load(config, model, &device)?);
+        if !models.is_empty() {
+            let device = device(config)?;
+            for model in models {
+                by_model.insert(model, load(config, model, &device)?);
+            }
         }
         Ok(Self { by_model })
     }
@@ -107,23 +115,26 @@ impl Networks {
 }
 
 fn load(config: &Config, model: ModelId, device: &Device) -> Result<Loaded, InferError> {
-    let path = &config.infer.weights[&model];
-    let weights = Weights::read(path, device).map_err(|cause| InferError::File {
-        model,
-        path: path.clone(),
-        cause: Box::new(cause),
-    })?;
+    let weights = match config.infer.weights.get(&model) {
+        Some(path) => Weights::read(path, device).map_err(|cause| InferError::File {
+            model,
+            path: path.clone(),
+            cause: Box::new(cause),
+        })?,
+        None => Weights::from_bytes(XS, device).map_err(failed(model))?,
+    };
     let family = match model {
         ModelId::S => noctule_erunet::Config::s(),
         ModelId::Full => noctule_erunet::Config::full(),
         _ => noctule_erunet::Config::xs(),
     };
     let written_with = weights.config().cloned().unwrap_or(family);
-    let (steps, bins) = (config.grid.steps as usize, config.grid.bins as usize);
-    if (written_with.steps, written_with.bins) != (steps, bins) {
-        let reason = "its steps or bins differ from the grid's";
+    if written_with.bins != config.grid.bins as usize {
+        let reason = "its bins differ from the grid's";
         return Err(InferError::Missing { model, reason });
     }
+    // Nothing in the weights depends on the number of steps.
+    let written_with = written_with.with_steps(config.grid.steps as usize);
     if device.is_cpu() {
         let (height, width) = (config.grid.height as usize, config.grid.width as usize);
         let options = plan_options(config);
