@@ -246,7 +246,7 @@ fn event_sums(events: &[PackedEvent], exposure_us: u32, side: usize) -> Vec<f32>
     for event in events {
         // Step k's centre lies at (k + 1/2) / T of the exposure: the first one after the event.
         let step =
-            (u64::from(event.t_us) * 2 * STEPS as u64 / u64::from(exposure_us.max(1)) + 1) / 2;
+            (u64::from(event.t_us) * 2 * STEPS as u64 / u64::from(exposure_us.max(1))).div_ceil(2);
         if let Ok(step @ 0..STEPS) = usize::try_from(step) {
             let cell = event.y() as usize * side + event.x() as usize;
             sums[step * area + cell] += if event.is_on() { 1.0 } else { -1.0 };
@@ -261,10 +261,11 @@ fn event_sums(events: &[PackedEvent], exposure_us: u32, side: usize) -> Vec<f32>
 /// Grey at the step centres as the event double integral has it (paper, eq. 10), `[T, H, W]`.
 fn event_grey(blur: &[f32], sums: &[f32], domain: Domain, contrast: f32) -> Vec<f32> {
     let area = blur.len() / 3;
-    let (decode, encode): (fn(f32) -> f32, fn(f32) -> f32) = match domain {
-        Domain::Linear => (|v| v.powf(GAMMA), |v| v.powf(1.0 / GAMMA)),
-        Domain::Encoded => (|v| v, |v| v),
+    let gamma = match domain {
+        Domain::Linear => GAMMA,
+        Domain::Encoded => 1.0,
     };
+    let (decode, encode) = (|v: f32| v.powf(gamma), |v: f32| v.powf(1.0 / gamma));
     let mut grey = vec![0.0; sums.len()];
     for cell in 0..area {
         let mean: f32 = (0..3)
