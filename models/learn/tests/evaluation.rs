@@ -242,14 +242,27 @@ fn a_scene_that_does_not_fit_is_named() {
     );
     stop.store(true, std::sync::atomic::Ordering::Relaxed);
     assert!(matches!(run(&scenes(), &stop), EvalError::Interrupted));
-    let weights = Weights::initial(&Config::tiny(), 3, &Device::Cpu).unwrap();
+}
+
+/// Weights of a network for three steps serve eight; a file that says nothing of itself is refused.
+#[test]
+fn the_number_of_steps_is_the_datas_and_the_network_the_files() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("tiny.safetensors");
+    let weights = Weights::initial(&Config::tiny(), 3, &Device::Cpu).unwrap();
     weights.write(&path).unwrap();
-    let steps = Method::network("tiny", &path, Withheld::default(), PlanOptions::default());
-    let error = steps.err().unwrap().to_string();
-    assert_eq!(
-        error,
-        "tiny makes 3 depth maps per exposure, the data have 8"
+    let open = || Method::network("tiny", &path, Withheld::default(), PlanOptions::default());
+    let rows = run(&mut [open().unwrap()], "0/3".parse().unwrap()).rows();
+    assert_eq!(rows[0].per_step.len(), 8);
+    let unnamed = candle_core::safetensors::save(
+        &weights
+            .tensors()
+            .clone()
+            .into_iter()
+            .collect::<std::collections::HashMap<_, _>>(),
+        &path,
     );
+    unnamed.unwrap();
+    let error = open().err().unwrap().to_string();
+    assert!(error.contains("does not say what network"), "{error}");
 }

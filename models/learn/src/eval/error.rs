@@ -28,16 +28,6 @@ pub enum EvalError {
     /// A weights file does not say what network it is of.
     #[error("{} does not say what network it is of", .0.display())]
     NoConfig(PathBuf),
-    /// A network has another number of steps than the data.
-    #[error("{network} makes {steps} depth maps per exposure, the data have {wanted}")]
-    Steps {
-        /// Which.
-        network: String,
-        /// Its steps.
-        steps: usize,
-        /// Those of the data.
-        wanted: usize,
-    },
     /// A table of single images is damaged.
     #[error("{}, line {line}: {fault}", path.display())]
     Table {
