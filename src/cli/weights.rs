@@ -8,7 +8,8 @@ use super::{Failure, Outcome};
 
 /// Arguments of `noctule weights`.
 #[derive(Debug, clap::Args)]
-#[group(id = "action", required = true, multiple = false)]
+#[command(group(clap::ArgGroup::new("action").required(true)))]
+#[group(skip)]
 pub struct Arguments {
     /// Parameters and multiply-adds of every member of the family
     #[arg(long, group = "action")]
