@@ -7,7 +7,7 @@ use noctule::config::Config;
 use noctule::dataset::RecordedScenes;
 use noctule_erunet::PlanOptions;
 use noctule_learn::{
-    DataSet, EvalError, Method, Scenes, Scores, Share, Withheld, csv, evaluate, markdown,
+    DataSet, EvalError, KittiScenes, Method, Scenes, Scores, Share, Withheld, csv, evaluate, markdown,
 };
 
 use super::{Failure, Outcome, progress, stop_on_signals};
@@ -97,17 +97,21 @@ fn evaluated(arguments: &Arguments, data: &DataSet) -> Result<Scores, Failure> {
         Some(path) => Config::load(path)?,
         None => Config::default(),
     };
-    let recorded;
+    let (recorded, kitti);
     let scenes: &dyn Scenes = match data {
         DataSet::World(world) => world,
         DataSet::Recording(path) => {
             recorded = RecordedScenes::open(path, &config, &stop)?;
             &recorded
         }
-        DataSet::Kitti(root) | DataSet::Nyu(root) => {
+        DataSet::Kitti(root) => {
+            kitti = KittiScenes::open(root).map_err(EvalError::from)?;
+            &kitti
+        }
+        DataSet::Nyu(root) => {
             return Err(EvalError::Scene {
                 scene: root.display().to_string(),
-                fault: "this build has no reader for KITTI and NYU".into(),
+                fault: "this build has no reader for NYU".into(),
             }
             .into());
         }

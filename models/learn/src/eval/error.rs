@@ -6,6 +6,8 @@ use noctule_depth::{MetricsError, SizeError};
 use noctule_erunet::{ConfigError, PlanError, WeightsError};
 use thiserror::Error;
 
+use crate::read::ReadError;
+
 /// Why an evaluation could not be done.
 #[derive(Debug, Error)]
 pub enum EvalError {
@@ -54,6 +56,9 @@ pub enum EvalError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// A file of a data set could not be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
     /// The evaluation was interrupted.
     #[error("interrupted")]
     Interrupted,

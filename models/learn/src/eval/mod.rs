@@ -2,6 +2,7 @@
 
 mod data;
 mod error;
+mod kitti;
 mod method;
 mod scene;
 mod table;
@@ -10,6 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 pub use data::{DataSet, Share, Withheld};
 pub use error::EvalError;
+pub use kitti::{KittiScenes, held_out};
 pub use method::Method;
 pub(crate) use method::complete;
 pub use scene::{Scene, Scenes, WorldScenes};

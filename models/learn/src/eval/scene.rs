@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use noctule_depth::Size;
-use noctule_raster::{BINS, Grid, PixelMap, Rescale, VoxelRaster};
+use noctule_raster::{BINS, Grid, PackedEvent, PixelMap, RasterError, Rescale, VoxelRaster};
 use noctule_world::{STEPS, Sample, Tier};
 
 use super::error::EvalError;
@@ -11,7 +11,7 @@ use crate::cache::Example;
 use crate::score::{DEPTH_CAP_M, Truth};
 
 /// One exposure, ready to be completed and scored; `T` is 8.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
     /// Said in tables of single images.
     pub name: String,
@@ -141,10 +141,12 @@ impl Scene {
             scene: name.clone(),
             fault,
         };
+        let size = Size::new(example.size, example.size).map_err(|e| fault(e.to_string()))?;
         Ok(Self {
-            size: Size::new(example.size, example.size).map_err(|e| fault(e.to_string()))?,
+            size,
             blur: example.blur.iter().map(|&b| f32::from(b) / 255.0).collect(),
-            voxel: voxels(example).map_err(|e| fault(e.to_string()))?,
+            voxel: voxels(&example.events, example.exposure_us, size)
+                .map_err(|e| fault(e.to_string()))?,
             sparse: example.sparse.clone(),
             depth: example.depth.clone(),
             movers: example.movers.clone(),
@@ -156,13 +158,17 @@ impl Scene {
     }
 }
 
-/// All events of an example, rastered as the vehicle does.
-fn voxels(example: &Example) -> Result<Vec<f32>, noctule_raster::RasterError> {
-    let side = example.size as u32;
-    let map = PixelMap::rescaled(&Rescale::identity(Grid::new(side, side))?);
+/// All events of an exposure, their times counted from its start, rastered as the vehicle does.
+pub(super) fn voxels(
+    events: &[PackedEvent],
+    exposure_us: u32,
+    size: Size,
+) -> Result<Vec<f32>, RasterError> {
+    let grid = Grid::new(size.width() as u32, size.height() as u32);
+    let map = PixelMap::rescaled(&Rescale::identity(grid)?);
     let raster = VoxelRaster::new(STEPS, map)?;
     let mut voxel = vec![0.0; raster.shape().len()];
-    let exposure = noctule_raster::Exposure::from_micros(0, u64::from(example.exposure_us))?;
-    raster.raster(exposure, &example.events, &mut voxel)?;
+    let exposure = noctule_raster::Exposure::from_micros(0, u64::from(exposure_us))?;
+    raster.raster(exposure, events, &mut voxel)?;
     Ok(voxel)
 }

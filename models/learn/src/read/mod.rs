@@ -1,0 +1,26 @@
+//! Readers of public data sets in the layouts they are published in.
+//!
+//! Bytes of files are not trusted: what does not fit is an error that names the file and what is
+//! wrong with it. Nothing here writes, downloads or converts.
+
+mod benchmark;
+mod calibration;
+mod drive;
+mod error;
+mod files;
+mod netpbm;
+mod nyu;
+mod rings;
+mod selection;
+mod velodyne;
+mod window;
+
+pub use benchmark::{BenchmarkDrive, Split, benchmark_drives};
+pub use calibration::{Calibration, ColourCamera, Projected};
+pub use drive::{Drive, is_validation_drive, raw_drives};
+pub use error::ReadError;
+pub use nyu::{NyuPair, nyu_pairs};
+pub use rings::{RINGS, rings_by_elevation, rings_by_order};
+pub use selection::{SelectedFrame, Selection};
+pub use velodyne::{ScanPoint, read_scan, sparse_depth};
+pub use window::{BENCHMARK_HEIGHT, BENCHMARK_WIDTH, Window};

@@ -1,0 +1,49 @@
+//! Why no exposure can be made of some frames.
+
+use thiserror::Error;
+
+/// What is wrong with frames or with what was asked of them.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum SynthError {
+    /// There is no frame.
+    #[error("no frames, wanted one or more")]
+    Empty,
+    /// A frame has another size than footage was promised to have.
+    #[error("frame {index} has {len} bytes, wanted {wanted}")]
+    Length {
+        /// Which, from 0.
+        index: usize,
+        /// Its bytes.
+        len: usize,
+        /// Three for each pixel.
+        wanted: usize,
+    },
+    /// Frames are wider or higher than events can say.
+    #[error("frames of {width}x{height} pixels, at most {max} a side")]
+    Side {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// The most.
+        max: usize,
+    },
+    /// Frames do not follow one another at a rate.
+    #[error("frames every {0} us, wanted a number above 0")]
+    Period(f64),
+    /// The exposure does not last, lasts too long, or leaves nothing to see.
+    #[error("exposure from {open} to {close} frames lasts {micros} us, wanted 1 us to {max_us} us")]
+    Span {
+        /// When it opens, frames.
+        open: f64,
+        /// When it closes, frames.
+        close: f64,
+        /// How long that is.
+        micros: f64,
+        /// The longest.
+        max_us: u32,
+    },
+    /// The up-sampling factor is out of range.
+    #[error("{0} pictures per frame, wanted 1 to {max}", max = super::BETWEEN_MAX)]
+    Between(usize),
+}
