@@ -29,11 +29,25 @@ fn every_shipped_file_is_accepted() {
     for file in files {
         let refused = if file.starts_with(&calibrations) {
             Calibration::load(&file).err().map(|e| e.to_string())
+        } else if file.starts_with(root.join("train")) {
+            training_refused(&file)
         } else {
             Config::load(&file).err().map(|e| e.to_string())
         };
         assert_eq!(refused, None, "{}", file.display());
     }
+}
+
+#[cfg(feature = "model")]
+fn training_refused(file: &Path) -> Option<String> {
+    let settings = noctule_learn::Settings::read(file);
+    settings.err().map(|e| e.to_string())
+}
+
+/// A build without networks cannot read what only trains them.
+#[cfg(not(feature = "model"))]
+fn training_refused(_file: &Path) -> Option<String> {
+    None
 }
 
 #[test]

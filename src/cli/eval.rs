@@ -7,7 +7,8 @@ use noctule::config::Config;
 use noctule::dataset::RecordedScenes;
 use noctule_erunet::PlanOptions;
 use noctule_learn::{
-    DataSet, EvalError, KittiScenes, Method, Scenes, Scores, Share, Withheld, csv, evaluate, markdown,
+    DataSet, EvalError, KittiScenes, Method, Scenes, Scores, Share, Withheld, csv, evaluate,
+    markdown,
 };
 
 use super::{Failure, Outcome, progress, stop_on_signals};
