@@ -8,7 +8,7 @@ use noctule::dataset::RecordedScenes;
 use noctule_erunet::PlanOptions;
 use noctule_learn::{
     DataSet, EvalError, KittiScenes, Method, Scenes, Scores, Share, Withheld, csv, evaluate,
-    markdown,
+    markdown, nyu_pairs,
 };
 
 use super::{Failure, Outcome, progress, stop_on_signals};
@@ -110,9 +110,10 @@ fn evaluated(arguments: &Arguments, data: &DataSet) -> Result<Scores, Failure> {
             &kitti
         }
         DataSet::Nyu(root) => {
+            let pairs = nyu_pairs(root).map_err(EvalError::from)?.len();
             return Err(EvalError::Scene {
                 scene: root.display().to_string(),
-                fault: "this build has no reader for NYU".into(),
+                fault: format!("{pairs} pairs can be read, but evaluation on NYU is not written"),
             }
             .into());
         }

@@ -1,5 +1,10 @@
 //! Exposures made of sharp frames: closed forms, and the same bits every time.
 #![allow(clippy::unwrap_used, reason = "a test may fail by panicking")]
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "codes and counts worked out in f64"
+)]
 
 use noctule_depth::Size;
 use noctule_learn::{Footage, SynthError, Synthesis, expose};
