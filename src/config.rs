@@ -207,6 +207,8 @@ pub const SHIPPED: &[ModelId] = if cfg!(feature = "model") {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
+    /// bfloat16 where the processor multiplies it, else single precision.
+    Auto,
     /// Single precision.
     F32,
     /// bfloat16.
@@ -327,7 +329,7 @@ impl Default for Infer {
             model: SHIPPED.last().copied().unwrap_or(ModelId::Fill),
             ladder: true,
             threads: 0,
-            precision: Precision::F32,
+            precision: Precision::Auto,
             device: Device::Cpu,
             weights: BTreeMap::new(),
         }

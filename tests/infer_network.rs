@@ -115,7 +115,7 @@ fn mean_error(got: &[(Vec<f32>, Vec<f32>)], wanted: &[(Vec<f32>, Vec<f32>)]) -> 
 #[test]
 fn a_network_gives_what_its_definition_gives_whatever_the_threads() {
     let folder = tempfile::tempdir().unwrap();
-    let (config, weights) = set_up(folder.path(), "threads = 1");
+    let (config, weights) = set_up(folder.path(), "threads = 1\nprecision = \"f32\"");
     let bundle = Bundle::new(&config);
     let wanted = by_candle(&weights, &bundle);
     let alone = by_engines(&config, &bundle);
@@ -127,14 +127,14 @@ fn a_network_gives_what_its_definition_gives_whatever_the_threads() {
             assert!((got - wanted).abs() <= 1e-4);
         }
     }
-    let (config, _) = set_up(folder.path(), "threads = 2");
+    let (config, _) = set_up(folder.path(), "threads = 2\nprecision = \"f32\"");
     assert_eq!(by_engines(&config, &bundle), alone);
 }
 
 #[test]
 fn brain_floats_are_asked_for_by_configuration() {
     let folder = tempfile::tempdir().unwrap();
-    let (single, _) = set_up(folder.path(), "threads = 1");
+    let (single, _) = set_up(folder.path(), "threads = 1\nprecision = \"f32\"");
     let (brain, _) = set_up(folder.path(), "threads = 1\nprecision = \"bf16\"");
     let bundle = Bundle::new(&single);
     let error = mean_error(&by_engines(&brain, &bundle), &by_engines(&single, &bundle));
@@ -174,7 +174,7 @@ fn shipped_weights_survive_compilation_and_brain_floats() {
 #[test]
 fn the_ladder_learns_the_times_of_what_can_run() {
     let folder = tempfile::tempdir().unwrap();
-    let (config, _) = set_up(folder.path(), "threads = 1");
+    let (config, _) = set_up(folder.path(), "threads = 1\nprecision = \"f32\"");
     let mut engines = Engines::load(&config).unwrap();
     let clock = std::cell::Cell::new(0);
     let now = || {

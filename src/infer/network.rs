@@ -57,13 +57,15 @@ fn device(config: &Config) -> Result<Device, InferError> {
 
 /// How plans are compiled under this configuration.
 pub(super) fn plan_options(config: &Config) -> PlanOptions {
+    let isa = Isa::detect();
     PlanOptions {
         threads: config.infer.thread_count(),
         precision: match config.infer.precision {
-            config::Precision::F32 => Precision::Single,
+            config::Precision::Auto if isa == Isa::Avx512Bf16 => Precision::Brain,
+            config::Precision::Auto | config::Precision::F32 => Precision::Single,
             config::Precision::Bf16 => Precision::Brain,
         },
-        isa: Isa::detect(),
+        isa,
     }
 }
 
