@@ -137,14 +137,9 @@ impl Network {
         pass: &mut Pass,
     ) -> Result<Vec<Tensor>, NetworkError> {
         let (b, h, w) = self.check_blur(blur)?;
-        self.check_steps("voxel", voxel, self.config.bins, (b, h, w))?;
-        let still = self.appearance(blur, pass)?;
-        let mut clear: Vec<Tensor> = Vec::with_capacity(self.config.steps);
-        for t in 0..self.config.steps {
-            let voxel = voxel.narrow(1, t, 1)?.squeeze(1)?;
-            clear.push(self.restore_step(&still, clear.last(), &voxel, t, pass)?);
-        }
-        Ok(clear)
+        let Config { steps, bins, .. } = self.config;
+        check_shape("voxel", voxel, &[b, steps, bins, h, w])?;
+        self.restore_window(blur, voxel, 0, pass)
     }
 
     /// Completion alone, all steps folded into the batch: `clear` from [`Network::restore`],
@@ -157,26 +152,14 @@ impl Network {
         pass: &mut Pass,
     ) -> Result<Outputs, NetworkError> {
         let steps = self.config.steps;
-        let Some(first) = clear.first().filter(|_| clear.len() == steps) else {
+        if clear.len() != steps {
             return Err(NetworkError::Shape {
                 input: "clear",
                 actual: vec![clear.len()],
                 wanted: format!("{steps} features"),
             });
-        };
-        let (b, c0, h, w) = first.dims4()?;
-        self.check_steps("voxel", voxel, self.config.bins, (b, h, w))?;
-        self.check_steps("sparse", sparse, 1, (b, h, w))?;
-        let clear = Tensor::stack(clear, 1)?.reshape((b * steps, c0, h, w))?;
-        let fold = |x: &Tensor| x.flatten(0, 1)?.contiguous();
-        let (depth, confidence) = self
-            .rdu
-            .forward(&clear, &fold(voxel)?, &fold(sparse)?, pass)?;
-        let unfold = |x: Tensor| x.reshape((b, steps, 1, h, w));
-        Ok(Outputs {
-            depth: unfold(depth)?,
-            confidence: unfold(confidence)?,
-        })
+        }
+        self.complete_window(clear, voxel, sparse, pass)
     }
 
     /// The sharp pictures that restored features stand for: `[B, T, 3, H, W]`; `None` for a
@@ -244,16 +227,6 @@ impl Network {
                 wanted: format!("[B, 3, H, W] with H and W multiples of {SIDE_MULTIPLE}"),
             }),
         }
-    }
-
-    fn check_steps(
-        &self,
-        input: &'static str,
-        tensor: &Tensor,
-        channels: usize,
-        (b, h, w): (usize, usize, usize),
-    ) -> Result<(), NetworkError> {
-        check_shape(input, tensor, &[b, self.config.steps, channels, h, w])
     }
 }
 
