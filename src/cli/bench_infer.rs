@@ -4,12 +4,11 @@ use std::path::Path;
 
 use candle_core::Device;
 use noctule::bench::{InferPlan, bench_infer};
-use noctule::frame::ModelId;
-use noctule::infer::shipped_weights;
+use noctule::config::SHIPPED;
 use noctule_erunet::{Config, Weights};
 use noctule_kernels::Precision;
 
-use super::{Failure, Outcome, progress};
+use super::{Failure, Outcome, named, progress};
 
 /// Arguments of `noctule bench infer`.
 #[derive(Debug, clap::Args)]
@@ -86,29 +85,28 @@ pub fn run(arguments: &Arguments) -> Outcome {
 /// A member of the family, with its own weights where they ship, or a file's network. Without
 /// weights random ones do: speed does not depend on them.
 fn network(name: &str) -> Result<(Config, Weights), Failure> {
+    let has_weights = name.parse().is_ok_and(|model| SHIPPED.contains(&model));
+    if has_weights
+        || Path::new(name)
+            .extension()
+            .is_some_and(|e| e == "safetensors")
+    {
+        let weights = named::weights(name)?;
+        let config = weights.config().cloned();
+        let config = config.ok_or_else(|| refused(format!("{name}: does not say its widths")))?;
+        return Ok((config, weights));
+    }
     let config = match Config::member(name) {
         Ok(config) => config,
-        Err(unknown) => {
-            let path = Path::new(name);
-            if !path.exists() {
-                return Err(refused(format!("{unknown}, and there is no such file")));
-            }
-            if path.extension().is_some_and(|e| e == "safetensors") {
-                let weights = Weights::read(path, &Device::Cpu)?;
-                let config = weights.config().cloned();
-                let config =
-                    config.ok_or_else(|| refused(format!("{name}: does not say its widths")))?;
-                return Ok((config, weights));
-            }
-            let text = std::fs::read_to_string(path)?;
+        Err(unknown) if !Path::new(name).exists() => {
+            return Err(refused(format!("{unknown}, and there is no such file")));
+        }
+        Err(_) => {
+            let text = std::fs::read_to_string(name)?;
             Config::from_json(&text).map_err(|cause| refused(format!("{name}: {cause}")))?
         }
     };
-    let model = name.parse::<ModelId>().ok();
-    let weights = match model.and_then(shipped_weights) {
-        Some(own) => Weights::from_bytes(own, &Device::Cpu)?,
-        None => Weights::initial(&config, 1, &Device::Cpu)?,
-    };
+    let weights = Weights::initial(&config, 1, &Device::Cpu)?;
     Ok((config, weights))
 }
 

@@ -11,16 +11,12 @@ use noctule_learn::{
     markdown, nyu_pairs,
 };
 
-use super::{Failure, Outcome, progress, stop_on_signals};
-
-/// Where shipped weights lie.
-const WEIGHTS: &str = "models/weights";
+use super::{Failure, Outcome, named, progress, stop_on_signals};
 
 /// Arguments of `noctule eval`.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Networks: `xs`, `s`, `full` (shipped in models/weights) or weights files; baselines are
-    /// always there
+    /// Networks: `xs` (part of the program) or weights files; baselines are always there
     #[arg(long, value_name = "NAME|FILE", value_delimiter = ',')]
     weights: Vec<String>,
     /// `world:TIER:FIRST..LAST` (seeds, last excluded), `rec:DIR`, `kitti:ROOT` or `nyu:ROOT`
@@ -144,13 +140,11 @@ fn methods(arguments: &Arguments) -> Result<Vec<Method>, Failure> {
     };
     let mut methods = Vec::new();
     for name in &arguments.weights {
-        let path = match name.as_str() {
-            "xs" | "s" | "full" => Path::new(WEIGHTS).join(format!("{name}.safetensors")),
-            file => PathBuf::from(file),
-        };
-        let label = path.file_stem().unwrap_or_default().to_string_lossy();
+        let label = Path::new(name).file_stem().unwrap_or_default();
+        let weights = named::weights(name)?;
         for inputs in &arguments.inputs {
-            methods.push(Method::network(&label, &path, *inputs, options)?);
+            let (label, weights) = (label.to_string_lossy(), weights.clone());
+            methods.push(Method::of_weights(&label, weights, *inputs, options)?);
         }
     }
     methods.extend(Method::baselines());

@@ -14,6 +14,8 @@ mod export;
 mod host;
 mod infer;
 mod inspect;
+#[cfg(feature = "model")]
+mod named;
 mod progress;
 mod replay;
 #[cfg(feature = "model")]

@@ -41,13 +41,13 @@ pub enum InferError {
     /// A device that is not there.
     #[cfg(feature = "model")]
     #[error(
-        "infer.device = \"cuda:{index}\": {cause}; is this a build with feature `cuda`, and is there such a GPU?"
+        "infer.device = \"cuda:{index}\": {reason}; is this a build with feature `cuda`, and is there such a GPU?"
     )]
     Device {
         /// Which GPU.
         index: usize,
         /// Why.
-        cause: Box<dyn std::error::Error + Send + Sync>,
+        reason: String,
     },
     /// A network failed.
     #[cfg(feature = "model")]

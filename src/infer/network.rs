@@ -49,7 +49,13 @@ fn device(config: &Config) -> Result<Device, InferError> {
         config::Device::Cuda(index) => {
             Device::new_cuda(index).map_err(|cause| InferError::Device {
                 index,
-                cause: Box::new(cause),
+                // Candle appends a backtrace where one is asked for.
+                reason: cause
+                    .to_string()
+                    .lines()
+                    .next()
+                    .unwrap_or_default()
+                    .to_owned(),
             })
         }
     }

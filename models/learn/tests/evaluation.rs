@@ -264,5 +264,5 @@ fn the_number_of_steps_is_the_datas_and_the_network_the_files() {
     );
     unnamed.unwrap();
     let error = open().err().unwrap().to_string();
-    assert!(error.contains("does not say what network"), "{error}");
+    assert!(error.contains("do not say what network"), "{error}");
 }

@@ -28,8 +28,8 @@ pub enum EvalError {
         fault: String,
     },
     /// A weights file does not say what network it is of.
-    #[error("{} does not say what network it is of", .0.display())]
-    NoConfig(PathBuf),
+    #[error("the weights {0} do not say what network they are of")]
+    NoConfig(String),
     /// A table of single images is damaged.
     #[error("{}, line {line}: {fault}", path.display())]
     Table {

@@ -75,10 +75,23 @@ impl Method {
         options: PlanOptions,
     ) -> Result<Self, EvalError> {
         let weights = Weights::read(path, &Device::Cpu)?;
+        Self::of_weights(name, weights, withheld, options)
+    }
+
+    /// As [`Method::network`], from weights at hand.
+    ///
+    /// # Errors
+    /// [`EvalError`], when they have no configuration or do not fit it.
+    pub fn of_weights(
+        name: &str,
+        weights: Weights,
+        withheld: Withheld,
+        options: PlanOptions,
+    ) -> Result<Self, EvalError> {
         let config = weights.config().cloned();
         // Nothing in the weights depends on the number of steps.
         let config = config
-            .ok_or_else(|| EvalError::NoConfig(path.into()))?
+            .ok_or_else(|| EvalError::NoConfig(name.to_owned()))?
             .with_steps(STEPS);
         weights.check(&config)?;
         let cost = describe(&config, 256, 256)?;
