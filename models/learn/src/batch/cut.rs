@@ -102,7 +102,7 @@ pub(super) struct Wanted {
 pub(super) struct Piece {
     /// `[3, H, W]`
     pub blur: Vec<f32>,
-    /// `[n, BINS, H, W]`
+    /// From the start of the exposure, `[first + n, BINS, H, W]`
     pub voxel: Vec<f32>,
     /// `[n, 1, H, W]`
     pub sparse: Vec<f32>,
@@ -172,7 +172,7 @@ impl Cutter {
         }
         let mut piece = Piece {
             blur: cut.planes(&example.blur, size, shade),
-            voxel: self.voxel[first * BINS * area..(first + count) * BINS * area].to_vec(),
+            voxel: self.voxel[..(first + count) * BINS * area].to_vec(),
             sparse,
             depth: cut.planes(&example.depth[steps(1)], size, known),
             ..Piece::default()

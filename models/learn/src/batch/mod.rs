@@ -60,7 +60,7 @@ pub struct Batch {
 pub struct Inputs {
     /// `[B, 3, H, W]`, encoded values over 255.
     pub blur: Tensor,
-    /// `[B, n, BINS, H, W]`.
+    /// From the start of the exposure, `[B, first_step + n, BINS, H, W]`.
     pub voxel: Tensor,
     /// `[B, n, 1, H, W]`, metres, 0 for no return.
     pub sparse: Tensor,
@@ -104,7 +104,11 @@ impl Batch {
         };
         Ok(Inputs {
             blur: Tensor::from_slice(&fields.blur, (b, 3, side, side), device)?,
-            voxel: steps(&fields.voxel, BINS)?,
+            voxel: Tensor::from_slice(
+                &fields.voxel,
+                (b, self.window.0 + n, BINS, side, side),
+                device,
+            )?,
             sparse: steps(&fields.sparse, 1)?,
             depth: steps(&fields.depth, 1)?,
             edges: given(&fields.edges)?,
@@ -147,7 +151,11 @@ impl Batch {
         let fields = &self.fields;
         let all = [
             ("blur", vec![b, 3, side, side], &fields.blur),
-            ("voxel", vec![b, n, BINS, side, side], &fields.voxel),
+            (
+                "voxel",
+                vec![b, self.window.0 + n, BINS, side, side],
+                &fields.voxel,
+            ),
             ("sparse", vec![b, n, 1, side, side], &fields.sparse),
             ("depth", vec![b, n, 1, side, side], &fields.depth),
             ("sharp", vec![b, n, 3, side, side], &fields.sharp),
