@@ -18,10 +18,10 @@ use crate::size::{Size, SizeError};
 pub struct Surround {
     size: Size,
     reach: usize,
-    /// One row with `reach` empty pixels on both sides.
-    row: Vec<f32>,
-    /// The whole map with `reach` empty rows above and below.
-    rows: Vec<f32>,
+    /// One row with `reach` empty pixels on both sides, twice.
+    row: [Vec<f32>; 2],
+    /// The whole map with `reach` empty rows above and below, twice.
+    rows: [Vec<f32>; 2],
 }
 
 impl Surround {
@@ -33,8 +33,8 @@ impl Surround {
         Ok(Self {
             size,
             reach,
-            row: vec![0.0; width + 2 * reach],
-            rows: vec![0.0; (height + 2 * reach) * width],
+            row: [(); 2].map(|()| vec![0.0; width + 2 * reach]),
+            rows: [(); 2].map(|()| vec![0.0; (height + 2 * reach) * width]),
         })
     }
 
@@ -67,36 +67,47 @@ impl Surround {
         out: &mut [f32],
     ) {
         let (width, reach) = (self.size.width(), self.reach);
-        self.rows.fill(none);
-        let middle = &mut self.rows[reach * width..][..out.len()];
+        self.rows[0].fill(none);
+        let middle = &mut self.rows[0][reach * width..][..out.len()];
         for (from, to) in values
             .chunks_exact(width)
             .zip(middle.chunks_exact_mut(width))
         {
-            self.row.fill(none);
-            for (to, &from) in self.row[reach..].iter_mut().zip(from) {
+            let row = &mut self.row[0];
+            row.fill(none);
+            for (to, &from) in row[reach..].iter_mut().zip(from) {
                 *to = pick(from, none);
             }
-            widen(&mut self.row, 1, 2 * reach + 1, pick);
-            to.copy_from_slice(&self.row[..width]);
+            to.copy_from_slice(&widened(&mut self.row, 1, 2 * reach + 1, pick)[..width]);
         }
-        widen(&mut self.rows, width, 2 * reach + 1, pick);
-        out.copy_from_slice(&self.rows[..out.len()]);
+        let widest = widened(&mut self.rows, width, 2 * reach + 1, pick);
+        out.copy_from_slice(&widest[..out.len()]);
     }
 }
 
-/// Replaces each entry by the pick of `count` entries from it on, `stride` apart; what begins
-/// less than `count` entries before the end is left unfinished.
-fn widen(entries: &mut [f32], stride: usize, count: usize, pick: impl Fn(f32, f32) -> f32) {
+/// Of the first vector: of each entry the pick of `count` entries from it on, `stride` apart. What
+/// begins less than `count` entries before the end is left unfinished.
+fn widened(
+    entries: &mut [Vec<f32>; 2],
+    stride: usize,
+    count: usize,
+    pick: impl Fn(f32, f32) -> f32,
+) -> &[f32] {
+    let [a, b] = entries;
+    let (mut from, mut to) = (a, b);
     let mut have = 1;
     while have < count {
-        let shift = have.min(count - have) * stride;
-        // Entries ahead are still those of the run before: the walk goes forward.
-        for at in 0..entries.len().saturating_sub(shift) {
-            entries[at] = pick(entries[at], entries[at + shift]);
+        let more = have.min(count - have);
+        let len = from.len().saturating_sub(more * stride);
+        let pairs = from[..len].iter().zip(&from[from.len() - len..]);
+        for (to, (&near, &far)) in to[..len].iter_mut().zip(pairs) {
+            *to = pick(near, far);
         }
-        have += have.min(count - have);
+        to[len..].copy_from_slice(&from[len..]);
+        std::mem::swap(&mut from, &mut to);
+        have += more;
     }
+    from
 }
 
 #[cfg(test)]
