@@ -68,6 +68,8 @@ pub struct Inputs {
     pub depth: Tensor,
     /// `[B, n, 1, H, W]`, 1 near depth edges; only where asked for.
     pub edges: Option<Tensor>,
+    /// `[B, n, 1, H, W]`, 1 on what moves on its own; only where asked for.
+    pub movers: Option<Tensor>,
     /// Truth of restoration; only where asked for.
     pub pictures: Option<Pictures>,
     /// The step of the exposure that `n` counts from.
@@ -112,6 +114,7 @@ impl Batch {
             sparse: steps(&fields.sparse, 1)?,
             depth: steps(&fields.depth, 1)?,
             edges: given(&fields.edges)?,
+            movers: given(&fields.movers)?,
             pictures,
             first_step: self.window.0,
         })
@@ -126,6 +129,7 @@ impl Batch {
             sharp,
             event_grey,
             edges,
+            movers,
         } = piece;
         let all = &mut self.fields;
         for (field, more) in [
@@ -136,6 +140,7 @@ impl Batch {
             (&mut all.sharp, sharp),
             (&mut all.event_grey, event_grey),
             (&mut all.edges, edges),
+            (&mut all.movers, movers),
         ] {
             field.extend_from_slice(&more);
         }
@@ -161,6 +166,7 @@ impl Batch {
             ("sharp", vec![b, n, 3, side, side], &fields.sharp),
             ("event_grey", vec![b, n, 1, side, side], &fields.event_grey),
             ("edges", vec![b, n, 1, side, side], &fields.edges),
+            ("movers", vec![b, n, 1, side, side], &fields.movers),
         ];
         let given: Vec<_> = all
             .into_iter()
@@ -206,6 +212,7 @@ impl Batch {
         let wanted = Wanted {
             pictures,
             edges: false,
+            movers: false,
         };
         let cut = Cut::whole(example.size);
         Ok(Self {
@@ -243,6 +250,7 @@ impl Recipe {
         Wanted {
             pictures: restores.then_some((self.loss.reblur_domain, self.loss.contrast)),
             edges: !restores && self.loss.depth_edges > 0.0,
+            movers: !restores && self.loss.depth_movers > 0.0,
         }
     }
 

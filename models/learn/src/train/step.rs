@@ -54,7 +54,7 @@ pub fn batch_loss(
         &outputs.depth,
         &inputs.depth,
         &inputs.sparse,
-        inputs.edges.as_ref(),
+        [inputs.edges.as_ref(), inputs.movers.as_ref()],
         weights,
     )?;
     let terms = [
