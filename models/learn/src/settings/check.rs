@@ -174,6 +174,7 @@ impl Loss {
             ("log_depth", self.log_depth),
             ("depth_edges", self.depth_edges),
             ("depth_movers", self.depth_movers),
+            ("restored_power", self.restored_power),
         ];
         match weights
             .iter()

@@ -41,12 +41,17 @@ pub fn batch_loss(
 ) -> Result<BatchLoss, TrainError> {
     let first = inputs.first_step;
     let clear = network.restore_window(&inputs.blur, &inputs.voxel, first, pass)?;
+    let power = restored_power(&clear)?;
+    let priced = |total: Tensor| total + (&power * weights.restored_power)?;
     if kind == Kind::Restore {
         let pictures = inputs.pictures.as_ref().ok_or_else(no_pictures)?;
         let restored = network
             .reconstruct(&clear, &inputs.blur)?
             .ok_or_else(no_pictures)?;
-        return restoration_loss(&restored, pictures, &inputs.blur, weights);
+        let mut found = restoration_loss(&restored, pictures, &inputs.blur, weights)?;
+        found.total = priced(found.total)?;
+        found.terms.push(("restored_power", scalar(&power)?));
+        return Ok(found);
     }
     let voxel = inputs.voxel.narrow(1, first, clear.len())?;
     let outputs = network.complete_window(&clear, &voxel, &inputs.sparse, pass)?;
@@ -61,12 +66,22 @@ pub fn batch_loss(
         ("dense", &loss.dense),
         ("sparse", &loss.sparse),
         ("sparse_gradient", &loss.sparse_gradient),
+        ("restored_power", &power),
     ];
     Ok(BatchLoss {
         terms: scalars(&terms)?,
-        total: loss.total,
+        total: priced(loss.total)?,
         beside: None,
     })
+}
+
+/// Mean square of restored features over steps.
+fn restored_power(clear: &[Tensor]) -> candle_core::Result<Tensor> {
+    let powers: Vec<Tensor> = clear
+        .iter()
+        .map(|clear| clear.sqr()?.mean_all())
+        .collect::<candle_core::Result<_>>()?;
+    Tensor::stack(&powers, 0)?.mean_all()
 }
 
 fn no_pictures() -> TrainError {
