@@ -4,8 +4,8 @@
 //!   same in every run, from any batch on.
 //! - [`Run`] trains in the paper's stages and can be stopped and taken up again at any step.
 //! - [`evaluate`] scores networks and what needs no learning on the same exposures.
-//! - [`KittiScenes`] scores on KITTI, read in its published layouts; [`expose`] makes the blur and
-//!   the events of its sharp frames.
+//! - [`KittiScenes`] scores on KITTI, read in its published layouts, [`KittiClips`] trains on it;
+//!   [`expose`] makes the blur and the events of its sharp frames, moved along [`OpticalFlow`].
 //! - [`Settings`] are what a run is told. Seeds of validation and test cannot be trained on.
 //!
 //! The crate prints nothing and parses no arguments.

@@ -4,6 +4,9 @@
 //! and Bischof (2007) as set out by Sanchez, Meinhardt-Llopis and Facciolo (IPOL, 2013), with a
 //! median after every warp (Sun, Roth and Black, 2010). The number of rounds is fixed, so the same
 //! pictures give the same bits.
+//!
+//! What passes its surroundings by half its own size from picture to picture is too small to be seen
+//! where it would have to be found, on the coarse levels, and is lost.
 
 use noctule_depth::Size;
 
