@@ -1,4 +1,4 @@
-//! `noctule train`: teaches a network on the synthetic night.
+//! `noctule train`: teaches a network on the synthetic night, and on real drives.
 
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use noctule_learn::{
-    Cache, CacheError, Kind, Prepared, Report, Run, Settings, Start, StepReport, TrainError,
+    Cache, CacheError, KittiClips, Kind, Part, Prepared, Report, Run, Settings, Start, StepReport, TrainError,
     Validation,
 };
 
@@ -42,6 +42,9 @@ pub struct Arguments {
     /// Folder for rendered examples, in place of the settings' `data.cache`
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
+    /// Folder of KITTI's raw drives, in place of the settings' `data.kitti.root`
+    #[arg(long, value_name = "DIR")]
+    kitti: Option<PathBuf>,
     /// Processor threads, in place of the settings' `threads`
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
@@ -62,6 +65,14 @@ pub fn run(arguments: &Arguments) -> Outcome {
     }
     if let Some(cache) = &arguments.cache {
         settings.data.cache.clone_from(cache);
+    }
+    if let Some(root) = &arguments.kitti {
+        let Some(kitti) = &mut settings.data.kitti else {
+            let file = arguments.config.display();
+            let fault = format!("--kitti given, and {file} has no data.kitti that reads from it");
+            return Err(Failure::Error(fault.into()));
+        };
+        kitti.root.clone_from(root);
     }
     if let Some(threads) = arguments.threads {
         settings.threads = threads.max(1);
@@ -121,40 +132,52 @@ fn default_folder(config: &Path) -> PathBuf {
     Path::new("runs").join(config.file_stem().unwrap_or_default())
 }
 
-/// Renders the missing examples, validation first, with a progress bar.
+/// Makes the missing examples, validation first, with a progress bar.
 fn prepare(settings: &Settings, stop: &AtomicBool) -> Result<Cache, Failure> {
     let cache = Cache::new(&settings.data.cache, settings.data.size)?;
     let nights = [settings.validation()?, settings.train()?];
-    for (what, nights) in ["validation", "training"].iter().zip(nights) {
-        let bar = progress::bar(0, &format!("rendering {what} nights"));
-        let started = Instant::now();
-        let mut last = Prepared::default();
-        let done = cache.prepare(&nights, stop, &mut |now: Prepared| {
-            bar.set_length(now.total);
-            bar.set_position(now.done);
-            if bar.is_hidden() && now.rendered / 160 != last.rendered / 160 {
-                let pace = started.elapsed().as_secs_f64() / now.rendered as f64;
-                eprintln!(
-                    "{} of {} {what} nights, {pace:.3} s each",
-                    now.done, now.total
-                );
-            }
-            last = now;
-        });
-        bar.finish_and_clear();
-        match done {
-            Ok(()) => {}
-            Err(CacheError::Interrupted) => return Err(Failure::Interrupted),
-            Err(error) => return Err(error.into()),
+    for (what, nights) in ["validation nights", "training nights"].iter().zip(nights) {
+        showing(what, |progress| cache.prepare(&nights, stop, progress))?;
+    }
+    if let Some(kitti) = &settings.data.kitti {
+        for (what, part) in [
+            ("real exposures for validation", Part::Validation),
+            ("real exposures for training", Part::Train),
+        ] {
+            let clips = KittiClips::open(kitti, part)?;
+            showing(what, |progress| cache.prepare_clips(&clips, stop, progress))?;
         }
-        eprintln!(
-            "{} {what} nights in {}, {} of them new",
-            last.done,
-            cache.folder().display(),
-            last.rendered
-        );
     }
     Ok(cache)
+}
+
+/// Shows how far one preparation is.
+fn showing(
+    what: &str,
+    prepare: impl FnOnce(&mut dyn FnMut(Prepared)) -> Result<(), CacheError>,
+) -> Result<(), Failure> {
+    let bar = progress::bar(0, &format!("making {what}"));
+    let started = Instant::now();
+    let mut last = Prepared::default();
+    let done = prepare(&mut |now: Prepared| {
+        bar.set_length(now.total);
+        bar.set_position(now.done);
+        if bar.is_hidden() && now.rendered / 160 != last.rendered / 160 {
+            let pace = started.elapsed().as_secs_f64() / now.rendered as f64;
+            eprintln!("{} of {} {what}, {pace:.3} s each", now.done, now.total);
+        }
+        last = now;
+    });
+    bar.finish_and_clear();
+    match done {
+        Ok(()) => {}
+        Err(CacheError::Interrupted) => return Err(Failure::Interrupted),
+        Err(error) => return Err(error.into()),
+    }
+    if last.total > 0 {
+        eprintln!("{} {what}, {} of them new", last.done, last.rendered);
+    }
+    Ok(())
 }
 
 /// Tells how a run goes: a bar on a terminal, a line now and then elsewhere.
@@ -235,9 +258,15 @@ fn validation_line(found: &Validation) -> String {
     let mut line = format!("validation after {} steps:", found.step);
     if let Some(d) = found.depth {
         line += &format!(
-            " of nearest: RMSE {:.3}, MAE {:.3}, edge band {:.3}, movers {:.3}, thin {:.3}; \
+            " nights of nearest: RMSE {:.3}, MAE {:.3}, edge band {:.3}, movers {:.3}, thin {:.3}; \
              MAE {:.0} mm; step 8 over step 1 {:.3}",
             d.rmse, d.mae, d.edge_mae, d.mover_mae, d.thin_mae, d.mae_mm, d.last_over_first
+        );
+    }
+    if let Some(k) = found.kitti {
+        line += &format!(
+            " real frames: RMSE {:.3}, MAE {:.3} of nearest; MAE {:.0} mm;",
+            k.rmse, k.mae, k.mae_mm
         );
     }
     if let Some(p) = found.pictures {

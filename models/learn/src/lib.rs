@@ -4,8 +4,8 @@
 //!   same in every run, from any batch on.
 //! - [`Run`] trains in the paper's stages and can be stopped and taken up again at any step.
 //! - [`evaluate`] scores networks and what needs no learning on the same exposures.
-//! - [`KittiScenes`] scores on KITTI, read in its published layouts; [`expose`] makes the blur and
-//!   the events of its sharp frames.
+//! - [`KittiScenes`] scores on KITTI, read in its published layouts, [`KittiClips`] trains on it;
+//!   [`expose`] makes the blur and the events of its sharp frames, moved along [`OpticalFlow`].
 //! - [`Settings`] are what a run is told. Seeds of validation and test cannot be trained on.
 //!
 //! The crate prints nothing and parses no arguments.
@@ -19,6 +19,7 @@
 mod batch;
 mod cache;
 mod chance;
+mod clip;
 mod eval;
 mod loss;
 mod read;
@@ -28,10 +29,14 @@ mod synth;
 mod train;
 
 pub use batch::{Batch, BatchError, Inputs, Loader, Pictures, Recipe};
-pub use cache::{Cache, CacheError, Example, Examples, Nights, Prepared, SHARD_LEN, generator};
+pub use cache::{
+    Cache, CacheError, Example, Examples, KittiClips, Nights, Origin, Part, Prepared, SHARD_LEN,
+    generator,
+};
+pub use clip::held_out;
 pub use eval::{
     DataSet, EvalError, KittiScenes, Method, MethodScores, Row, Scene, Scenes, Scores, Share,
-    Withheld, WorldScenes, csv, evaluate, held_out, markdown,
+    Withheld, WorldScenes, csv, evaluate, markdown,
 };
 pub use loss::{DepthLoss, PictureLoss, depth_loss, picture_loss};
 pub use read::{
@@ -42,10 +47,12 @@ pub use read::{
 };
 pub use score::{DEPTH_CAP_M, DEPTH_MIN_M, Truth, score_sequence};
 pub use settings::{
-    Augment, Data, Domain, Drives, Kind, Loss, Settings, SettingsError, Stage, TEST_SEEDS,
-    VALIDATION_SEEDS,
+    Augment, Data, Domain, Drives, Kind, KittiDrives, Loss, Settings, SettingsError, Stage,
+    TEST_SEEDS, VALIDATION_SEEDS,
 };
-pub use synth::{BETWEEN_MAX, Exposed, Film, Footage, SynthError, Synthesis, expose};
+pub use synth::{
+    BETWEEN_MAX, Exposed, Film, Footage, InBetween, OpticalFlow, SynthError, Synthesis, expose,
+};
 pub use train::{
     BatchLoss, Beside, DepthValidation, PictureValidation, Report, Run, Start, StepReport,
     TrainError, Validation, batch_loss,

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use noctule_learn::{
-    Augment, Batch, Cache, CacheError, Example, Kind, Loader, Loss, Nights, Recipe, SHARD_LEN,
-    Stage,
+    Augment, Batch, Cache, CacheError, Example, Kind, Loader, Loss, Nights, Origin, Recipe,
+    SHARD_LEN, Stage,
 };
 use noctule_world::Tier;
 
@@ -70,7 +70,10 @@ fn an_example_comes_back_from_disk_as_it_was_rendered() {
     let root = tempfile::tempdir().unwrap();
     let examples = prepared(root.path()).open(&nights()).unwrap();
     assert_eq!(examples.len(), 5);
-    for (index, &(tier, seed)) in examples.places().iter().enumerate() {
+    for (index, &(origin, seed)) in examples.places().iter().enumerate() {
+        let Origin::Night(tier) = origin else {
+            panic!("{origin:?}")
+        };
         let rendered = Example::render(seed, tier, SIZE).unwrap();
         assert!(rendered.events.len() > 20 && rendered.sparse.iter().any(|d| *d > 0.0));
         assert_eq!(examples.read(index, true).unwrap(), rendered);

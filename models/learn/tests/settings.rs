@@ -119,6 +119,74 @@ fn each_wrong_number_is_named() {
     assert!(matches!(absent, SettingsError::File { .. }));
 }
 
+const KITTI: &str =
+    "[data.kitti]\nroot = \"kitti\"\nframes = [0, 5]\nvalidation = [6, 7]\nshare = 0.5\n[[stages]]";
+
+#[test]
+fn real_drives_are_asked_for_by_frames() {
+    let text = GOOD.replace("[[stages]]", KITTI);
+    let settings = Settings::from_toml(&text).unwrap();
+    let kitti = settings.data.kitti.clone().unwrap();
+    assert_eq!(
+        (kitti.frames, kitti.cuts, kitti.drives.len()),
+        ([0, 5], 12, 0)
+    );
+    assert_eq!(Settings::from_toml(&settings.to_toml()).unwrap(), settings);
+    for (from, to, fault) in [
+        (
+            "[0, 5]",
+            "[0, 2]",
+            "data.kitti.frames is [0, 2], wanted first and last frame",
+        ),
+        ("[0, 5]", "[5, 0]", "data.kitti.frames is [5, 0]"),
+        (
+            "[6, 7]",
+            "[5, 7]",
+            "data.kitti.validation is [5, 7], wanted none of the frames",
+        ),
+        ("[6, 7]", "[7, 6]", "data.kitti.validation is [7, 6]"),
+        (
+            "share = 0.5",
+            "share = 0",
+            "data.kitti.share is 0, wanted above 0",
+        ),
+        ("share = 0.5", "share = 1.5", "data.kitti.share is 1.5"),
+        (
+            "share = 0.5",
+            "share = 1.0",
+            "data.train is 2 ranges, wanted none",
+        ),
+        (
+            "share = 0.5",
+            "share = 0.5\ncuts = 0",
+            "data.kitti.cuts is 0, wanted 1 to 256",
+        ),
+        (
+            "share = 0.5",
+            "share = 0.5\nframe = 3",
+            "unknown field `frame`",
+        ),
+        ("share = 0.5", "", "missing field `share`"),
+        ("root = \"kitti\"", "", "missing field `root`"),
+    ] {
+        assert!(text.contains(from), "{from}");
+        let error = Settings::from_toml(&text.replacen(from, to, 1)).unwrap_err();
+        assert!(error.to_string().contains(fault), "{to}: {error}");
+    }
+    // Alone they need no nights, and nights to validate on only without frames for it.
+    let alone = text.replace("share = 0.5", "share = 1.0");
+    let train = alone.find("train = ").unwrap();
+    let kitti = alone.find("[data.kitti]").unwrap();
+    let without = |from: usize| format!("{}{}", &alone[..from], &alone[kitti..]);
+    Settings::from_toml(&without(train)).unwrap();
+    let nothing = without(train).replace("validation = [6, 7]\n", "");
+    let error = Settings::from_toml(&nothing).unwrap_err().to_string();
+    assert!(error.contains("data.validation is empty"), "{error}");
+    let none = GOOD.replace("train = [{", "#");
+    let error = Settings::from_toml(&none).unwrap_err().to_string();
+    assert!(error.contains("data.train is empty"), "{error}");
+}
+
 #[test]
 fn a_network_without_restoration_has_no_first_stage() {
     let text = GOOD

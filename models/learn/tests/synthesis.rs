@@ -7,7 +7,7 @@
 )]
 
 use noctule_depth::Size;
-use noctule_learn::{Footage, SynthError, Synthesis, expose};
+use noctule_learn::{Footage, InBetween, SynthError, Synthesis, expose};
 use noctule_world::PixelModel;
 
 const SIDE: usize = 16;
@@ -16,6 +16,7 @@ fn plain(between: usize) -> Synthesis {
     let pixels = PixelModel::default().without_noise();
     Synthesis {
         between,
+        in_between: InBetween::Blended,
         pixels,
         film: None,
         seed: 1,

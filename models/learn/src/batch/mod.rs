@@ -46,7 +46,7 @@ pub enum BatchError {
 pub struct Batch {
     /// Its number in the stage.
     pub number: u64,
-    /// Tier's letter and seed of each exposure.
+    /// Letter of the origin and seed of each exposure.
     pub places: Vec<(char, u64)>,
     /// Width and height, pixels.
     pub side: usize,
@@ -217,7 +217,7 @@ impl Batch {
         let cut = Cut::whole(example.size);
         Ok(Self {
             number: 0,
-            places: vec![(example.tier.letter(), example.seed)],
+            places: vec![(example.origin.letter(), example.seed)],
             side: example.size,
             window: (0, STEPS),
             fields: cutter.cut(example, &cut, wanted, &mut Chance::of(&[]))?,
@@ -258,6 +258,7 @@ impl Recipe {
     fn make(&self, number: u64, cutter: &mut Cutter) -> Result<Batch, BatchError> {
         let order = Order {
             examples: self.examples.len(),
+            mixed_in: self.examples.mixed_in(),
             batch: self.stage.batch,
             seed: self.seed,
         };
@@ -282,7 +283,7 @@ impl Recipe {
                 &mut chance,
             );
             let example = self.examples.read(index, wanted.pictures.is_some())?;
-            batch.places.push((example.tier.letter(), example.seed));
+            batch.places.push((example.origin.letter(), example.seed));
             batch.append(cutter.cut(&example, &cut, wanted, &mut chance)?);
         }
         Ok(batch)

@@ -6,6 +6,8 @@ use std::path::PathBuf;
 use noctule_raster::RasterError;
 use thiserror::Error;
 
+use crate::read::ReadError;
+
 /// Why examples could not be made, kept or read.
 #[derive(Debug, Error)]
 pub enum CacheError {
@@ -25,13 +27,16 @@ pub enum CacheError {
         /// What is wrong with it.
         fault: String,
     },
-    /// An example was asked for that the cache does not hold.
-    #[error("seed {seed} of tier {tier} is not in the cache: prepare it first")]
-    Absent {
-        /// The drive's seed.
-        seed: u64,
-        /// Its tier's letter.
-        tier: char,
+    /// Real drives could not be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// Real drives are not what they are asked for.
+    #[error("{drive}: {fault}")]
+    Drive {
+        /// Which, or where it was looked for.
+        drive: String,
+        /// What is wrong, values included.
+        fault: String,
     },
     /// A sample's events do not fit the raster.
     #[error("seed {seed} of tier {tier}: {source}")]

@@ -3,27 +3,46 @@
 use noctule_raster::{PackedEvent, RasterError};
 use noctule_world::{STEPS, Sample, Tier};
 
+/// Where an example comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// A rendered night of this tier.
+    Night(Tier),
+    /// A real drive of KITTI.
+    Kitti,
+}
+
+impl Origin {
+    /// The tier's letter, or K.
+    pub fn letter(self) -> char {
+        match self {
+            Self::Night(tier) => tier.letter(),
+            Self::Kitti => 'K',
+        }
+    }
+}
+
 /// One exposure on the network's grid; `T` is 8, `H = W = size`.
 ///
-/// The part of a [`Sample`] that learning needs. Depth truth is kept to a 512th of a metre and up
+/// The part of a [`Sample`] that learning needs, or its like of real frames. Depth truth is kept to a 512th of a metre and up
 /// to 127.99 m; everything else is exactly the sample's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Example {
-    /// The drive's seed.
+    /// The drive's seed; of real drives a number that tells exposures of one drive apart.
     pub seed: u64,
-    /// How hard the drive is.
-    pub tier: Tier,
+    /// Where it comes from.
+    pub origin: Origin,
     /// Width and height, pixels.
     pub size: usize,
     /// Length of the exposure, whole microseconds.
     pub exposure_us: u32,
-    /// The long exposure, `[3, H, W]`, gamma 1/2.2, 8 bit.
+    /// The long exposure, `[3, H, W]`, gamma 1/2.2 (real drives: sRGB), 8 bit.
     pub blur: Vec<u8>,
     /// Events in order; times are microseconds since the shutter opened.
     pub events: Vec<PackedEvent>,
     /// The LiDAR's depth at the step centres, `[T, H, W]`, metres; 0 where there is none.
     pub sparse: Vec<f32>,
-    /// True depth at the step centres, `[T, H, W]`, metres; 0 is sky.
+    /// True depth at the step centres, `[T, H, W]`, metres; 0 is sky, or unknown.
     pub depth: Vec<f32>,
     /// Sharp images at the step centres, `[T, 3, H, W]`, gamma 1/2.2, 8 bit; empty where not asked
     /// for.
@@ -75,7 +94,7 @@ impl Example {
         let flags = |mask: &[u8]| mask.iter().map(|&m| m != 0).collect();
         Ok(Self {
             seed,
-            tier,
+            origin: Origin::Night(tier),
             size: sample.size,
             exposure_us: width_us as u32,
             blur: sample.blur.clone(),

@@ -7,9 +7,9 @@
 mod codec;
 mod error;
 mod example;
+mod kitti;
 mod shard;
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,8 @@ use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
 pub use error::CacheError;
-pub use example::Example;
+pub use example::{Example, Origin};
+pub use kitti::{KittiClips, Part};
 use shard::Shard;
 pub(crate) use shard::write_whole;
 
@@ -51,6 +52,7 @@ impl Nights {
 /// Where examples of one grid are kept.
 #[derive(Debug, Clone)]
 pub struct Cache {
+    root: PathBuf,
     folder: PathBuf,
     size: usize,
 }
@@ -76,7 +78,11 @@ impl Cache {
             return Err(CacheError::Size(size));
         }
         let folder = root.join(format!("{}-{}-{size}", generator(), shard::FORMAT));
-        Ok(Self { folder, size })
+        Ok(Self {
+            root: root.into(),
+            folder,
+            size,
+        })
     }
 
     /// The folder the shards lie in.
@@ -158,35 +164,50 @@ impl Cache {
     /// # Errors
     /// [`CacheError::File`] for a shard that is not there, [`CacheError::Shard`] for a damaged one.
     pub fn open(&self, nights: &[Nights]) -> Result<Examples, CacheError> {
-        let mut examples = Examples {
-            places: Vec::new(),
-            shards: Vec::new(),
-            by_key: BTreeMap::new(),
-        };
+        let mut examples = Examples::default();
         for shard in nights.iter().flat_map(Nights::shards) {
-            let index = examples.shards.len();
-            let path = self.path(&shard);
-            examples
-                .shards
-                .push(Shard::open(&path, shard.tier, self.size)?);
-            for seed in shard.seeds {
-                examples.by_key.insert((shard.tier.letter(), seed), index);
-                examples.places.push((shard.tier, seed));
-            }
+            let origin = Origin::Night(shard.tier);
+            let held = Shard::open(&self.path(&shard), origin, self.size)?;
+            examples.add(held, origin, shard.seeds);
         }
         Ok(examples)
     }
 }
 
 /// Examples on disk, in the order of the nights they were opened with.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Examples {
-    places: Vec<(Tier, u64)>,
+    places: Vec<(Origin, u64)>,
+    /// Where each lies.
+    shard_of: Vec<usize>,
     shards: Vec<Shard>,
-    by_key: BTreeMap<(char, u64), usize>,
+    /// How many at the end are mixed in, and their share of what is trained on.
+    mixed_in: (usize, f64),
 }
 
 impl Examples {
+    fn add(&mut self, shard: Shard, origin: Origin, seeds: impl IntoIterator<Item = u64>) {
+        let index = self.shards.len();
+        self.shards.push(shard);
+        for seed in seeds {
+            self.places.push((origin, seed));
+            self.shard_of.push(index);
+        }
+    }
+
+    /// These, and others behind them that make up `share` of what is trained on, however many they
+    /// are. Examples that are mixed already stay so no longer: one share is kept.
+    #[must_use]
+    pub fn mixed_with(mut self, others: Self, share: f64) -> Self {
+        let before = self.shards.len();
+        self.mixed_in = (others.len(), share);
+        self.places.extend(others.places);
+        let shards = others.shard_of.iter().map(|shard| before + shard);
+        self.shard_of.extend(shards);
+        self.shards.extend(others.shards);
+        self
+    }
+
     /// How many there are.
     pub fn len(&self) -> usize {
         self.places.len()
@@ -197,8 +218,13 @@ impl Examples {
         self.places.is_empty()
     }
 
-    /// Tier and seed of each.
-    pub fn places(&self) -> &[(Tier, u64)] {
+    /// How many at the end are mixed in, and their share of what is trained on.
+    pub(crate) fn mixed_in(&self) -> (usize, f64) {
+        self.mixed_in
+    }
+
+    /// Origin and seed of each.
+    pub fn places(&self) -> &[(Origin, u64)] {
         &self.places
     }
 
@@ -210,13 +236,8 @@ impl Examples {
     /// # Panics
     /// When `index` is not below [`len`](Self::len).
     pub fn read(&self, index: usize, with_sharp: bool) -> Result<Example, CacheError> {
-        let (tier, seed) = self.places[index];
-        let absent = CacheError::Absent {
-            seed,
-            tier: tier.letter(),
-        };
-        let shard = self.by_key.get(&(tier.letter(), seed)).ok_or(absent)?;
-        self.shards[*shard].read(seed, with_sharp)
+        let (_, seed) = self.places[index];
+        self.shards[self.shard_of[index]].read(seed, with_sharp)
     }
 }
 

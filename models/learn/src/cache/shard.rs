@@ -7,13 +7,13 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use noctule_raster::PackedEvent;
-use noctule_world::{STEPS, Tier};
+use noctule_world::STEPS;
 use safetensors::Dtype;
 use safetensors::tensor::{Metadata, TensorView};
 
 use super::codec;
 use super::error::CacheError;
-use super::example::Example;
+use super::example::{Example, Origin};
 
 /// Longest header read, bytes; a shard's is a few kilobytes.
 const HEADER_BYTES_MAX: u64 = 1 << 20;
@@ -91,13 +91,13 @@ pub(super) struct Shard {
     file: File,
     metadata: Metadata,
     data_start: u64,
-    tier: Tier,
+    origin: Origin,
     size: usize,
 }
 
 impl Shard {
     /// Opens a shard and reads its table of contents.
-    pub(super) fn open(path: &Path, tier: Tier, size: usize) -> Result<Self, CacheError> {
+    pub(super) fn open(path: &Path, origin: Origin, size: usize) -> Result<Self, CacheError> {
         let in_file = |source| CacheError::File {
             path: path.into(),
             source,
@@ -137,7 +137,7 @@ impl Shard {
             file,
             metadata,
             data_start: 8 + header,
-            tier,
+            origin,
             size,
         })
     }
@@ -195,7 +195,7 @@ impl Shard {
         let exposure_us = self.words(&name("exposure_us"))?;
         Ok(Example {
             seed,
-            tier: self.tier,
+            origin: self.origin,
             size: self.size,
             exposure_us: *exposure_us
                 .first()

@@ -20,9 +20,10 @@ use noctule_world::STEPS;
 
 use super::error::EvalError;
 use super::scene::{Scene, Scenes, voxels};
+use crate::clip::{CLIP_SKIP, Frames, LONG, PERIOD_US, exposures, held_out, runs, scanned};
 use crate::read::{
-    BenchmarkDrive, Calibration, ColourCamera, Drive, ReadError, ScanPoint, Selection, Split,
-    Window, benchmark_drives, is_validation_drive, raw_drives, rings_by_elevation, sparse_depth,
+    BenchmarkDrive, ColourCamera, Drive, ReadError, Selection, Split, Window, benchmark_drives,
+    is_validation_drive, raw_drives,
 };
 use crate::score::DEPTH_CAP_M;
 use crate::synth::{Footage, Synthesis, expose};
@@ -31,17 +32,8 @@ use crate::synth::{Footage, Synthesis, expose};
 const SIDE: usize = 256;
 /// Squares of one picture.
 const SQUARES: usize = 3;
-/// One ring of so many is kept.
-const RING_STRIDE: u8 = 4;
-/// Raw drives of fewer frames are clips.
-const LONG: usize = 32;
-/// Frames of a clip that are left to training.
-const CLIP_SKIP: u32 = 8;
-/// Frames of a clip that make one window.
-const CLIP_FRAMES: u32 = 4;
-/// KITTI's nominal frame period, microseconds.
-const PERIOD_US: f64 = 100_000.0;
-
+/// Pixels around a square from which flow is known too.
+const MARGIN: usize = 64;
 /// A folder of KITTI, ready to be scored on.
 #[derive(Debug, Clone)]
 pub struct KittiScenes {
@@ -59,9 +51,7 @@ enum Source {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Place {
     drive: usize,
-    first: u32,
-    /// Frames it spans: eight, or four of a clip.
-    frames: u32,
+    frames: Frames,
 }
 
 impl KittiScenes {
@@ -79,7 +69,7 @@ impl KittiScenes {
         if !benchmark.is_empty() {
             let mut places = Vec::new();
             for (drive, held) in benchmark.iter().enumerate() {
-                places.extend(windows(drive, held.frames(), STEPS as u32));
+                places.extend(of_drive(drive, runs(held.frames(), STEPS as u32)));
             }
             return Self::nonempty(root, places.len(), Source::Benchmark(benchmark, places));
         }
@@ -107,51 +97,22 @@ impl KittiScenes {
 
 /// Windows of one raw drive.
 fn of_raw(index: usize, drive: &Drive) -> Vec<Place> {
-    let scanned: Vec<u32> = drive
-        .scans()
-        .iter()
-        .copied()
-        .filter(|frame| drive.pictures().binary_search(frame).is_ok())
-        .collect();
-    if scanned.len() >= LONG {
-        return windows(index, &scanned, STEPS as u32);
+    let scanned = scanned(drive);
+    let is_long = scanned.len() >= LONG;
+    let mut found = exposures(&scanned, is_long);
+    if !is_long {
+        // A window of a clip closes between its last frame and the next.
+        found.retain(|frames| {
+            let closes = drive.pictures().binary_search(&frames.end()).is_ok();
+            frames.first >= CLIP_SKIP && closes
+        });
     }
-    // A window of a clip closes between its last frame and the next.
-    let starts = scanned.iter().filter(|first| **first >= CLIP_SKIP);
-    let is_whole = |first: &u32| {
-        let all = |frames: &[u32], count: u32| {
-            (0..count).all(|k| frames.binary_search(&first.saturating_add(k)).is_ok())
-        };
-        all(&scanned, CLIP_FRAMES) && all(drive.pictures(), CLIP_FRAMES + 1)
-    };
-    let starts = starts.copied().filter(is_whole);
-    let place = |first| Place {
-        drive: index,
-        first,
-        frames: CLIP_FRAMES,
-    };
-    starts.map(place).collect()
+    of_drive(index, found)
 }
 
-/// Runs of `len` consecutive frames that share none.
-fn windows(drive: usize, frames: &[u32], len: u32) -> Vec<Place> {
-    let mut found = Vec::new();
-    let mut rest = frames;
-    while let Some(&first) = rest.first() {
-        let run = (0..len)
-            .zip(rest)
-            .take_while(|(k, frame)| first.checked_add(*k) == Some(**frame));
-        let run = run.count();
-        if run == len as usize {
-            found.push(Place {
-                drive,
-                first,
-                frames: len,
-            });
-        }
-        rest = &rest[run..];
-    }
-    found
+fn of_drive(drive: usize, frames: Vec<Frames>) -> Vec<Place> {
+    let place = |frames| Place { drive, frames };
+    frames.into_iter().map(place).collect()
 }
 
 impl Scenes for KittiScenes {
@@ -176,7 +137,7 @@ impl Scenes for KittiScenes {
                     read: &|frame| drive.picture(frame),
                 };
                 let depth = |frame| Ok((drive.sparse(frame)?, drive.truth(frame)?));
-                moving(place, square, index, &pictures, &depth)
+                moving(place.frames, square, index, &pictures, &depth)
             }
             Source::Raw(drives, places) => {
                 let place = places[place];
@@ -186,40 +147,13 @@ impl Scenes for KittiScenes {
                     has: &|frame| drive.pictures().binary_search(&frame).is_ok(),
                     read: &|frame| drive.picture(frame),
                 };
-                let size = drive.picture(place.first)?;
+                let size = drive.picture(place.frames.first)?;
                 let size = Size::new(size.width(), size.height())?;
                 let depth = |frame| Ok(held_out(&drive.scan(frame)?, drive.calibration(), size));
-                moving(place, square, index, &pictures, &depth)
+                moving(place.frames, square, index, &pictures, &depth)
             }
         }
     }
-}
-
-/// Splits a scan into what is given and what is scored: maps of every fourth ring, and of the
-/// others where none of the fourth fell.
-pub fn held_out(
-    scan: &[ScanPoint],
-    calibration: &Calibration,
-    size: Size,
-) -> (DepthImage, DepthImage) {
-    let rings = rings_by_elevation(scan);
-    let map = |is_kept: bool| {
-        let points = scan.iter().zip(&rings);
-        let points = points.filter(|(_, ring)| (**ring % RING_STRIDE == 0) == is_kept);
-        sparse_depth(points.map(|(point, _)| point), calibration, size)
-    };
-    let (sparse, mut truth) = (map(true), map(false));
-    for (truth, sparse) in truth.iter_mut().zip(&sparse) {
-        if *sparse > 0.0 {
-            *truth = 0.0;
-        }
-    }
-    let image = |depth_m| DepthImage {
-        width: size.width(),
-        height: size.height(),
-        depth_m,
-    };
-    (image(sparse), image(truth))
 }
 
 /// A drive's pictures, wherever they lie.
@@ -233,11 +167,10 @@ type Depth<'a> = &'a dyn Fn(u32) -> Result<(DepthImage, DepthImage), ReadError>;
 
 /// A window of frames as one exposure.
 ///
-/// Step centres lie on frames, or, of a clip, on frames and half-way between; a step without a scan
-/// of its own sees the newest one and is not scored. The exposure reaches half a step beyond the
-/// outer centres; light there comes from the neighbouring frames, where the drive has them.
+/// A step without a scan of its own sees the newest one and is not scored. Light beyond the outer
+/// centres comes from the neighbouring frames, where the drive has them.
 fn moving(
-    place: Place,
+    frames: Frames,
     square: usize,
     seed: usize,
     pictures: &Pictures<'_>,
@@ -246,21 +179,22 @@ fn moving(
     let name = format!(
         "{}:{}:{}",
         pictures.name,
-        place.first,
+        frames.first,
         ["left", "centre", "right"][square]
     );
     let fault = |fault: String| EvalError::Scene {
         scene: name.clone(),
         fault,
     };
-    let before = u32::from(place.first > 0 && (pictures.has)(place.first - 1));
-    let last = place.first + place.frames; // one beyond, for the light after the last centre
+    let (first, last) = (frames.first, frames.end());
+    let before = u32::from(first > 0 && (pictures.has)(first - 1));
     let after = u32::from((pictures.has)(last));
     let (mut parts, mut whole) = (Vec::new(), None);
-    for frame in place.first - before..last + after {
+    for frame in first - before..last + after {
         let picture = (pictures.read)(frame)?;
         let size = (picture.width(), picture.height());
-        let part = square_of(size, square).and_then(|window| window.of_picture(&picture));
+        let around = square_of(size, square).and_then(|w| w.grown(MARGIN, size.0, size.1));
+        let part = around.and_then(|around| around.of_picture(&picture));
         let part = part.ok_or_else(|| fault(too_small(size)))?;
         if *whole.get_or_insert(size) != size {
             return Err(fault(format!(
@@ -272,20 +206,17 @@ fn moving(
     }
     let size = whole.unwrap_or_default();
     let window = square_of(size, square).ok_or_else(|| fault(too_small(size)))?;
-    let footage = Footage::from_srgb(parts.iter().map(Vec::as_slice), window.size, PERIOD_US);
-    let footage = footage.map_err(|e| fault(e.to_string()))?;
-    let step = f64::from(place.frames) / STEPS as f64;
-    let open = f64::from(before) - 0.5 * step;
-    let exposed = expose(
-        &footage,
-        open,
-        open + f64::from(place.frames),
-        &Synthesis::of_seed(seed as u64),
-    )
-    .map_err(|e| fault(e.to_string()))?;
+    let around = window.grown(MARGIN, size.0, size.1);
+    let around = around.ok_or_else(|| fault(too_small(size)))?;
+    let footage = Footage::from_srgb(parts.iter().map(Vec::as_slice), around.size, PERIOD_US)
+        .and_then(|whole| whole.seen_through(window.x - around.x, window.y - around.y, window.size))
+        .map_err(|e| fault(e.to_string()))?;
+    let (open, close) = frames.span(before);
+    let recipe = Synthesis::of_seed(seed as u64);
+    let exposed = expose(&footage, open, close, &recipe).map_err(|e| fault(e.to_string()))?;
     let (mut sparse, mut truth) = (Vec::new(), Vec::new());
-    let steps_per_frame = STEPS / place.frames as usize;
-    for frame in place.first..last {
+    let steps_per_frame = frames.steps_per_frame();
+    for frame in first..last {
         let (given, scored) = depth(frame)?;
         let cut = |map: &DepthImage| {
             let fits = (map.width, map.height) == size;

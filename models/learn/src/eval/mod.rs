@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 pub use data::{DataSet, Share, Withheld};
 pub use error::EvalError;
-pub use kitti::{KittiScenes, held_out};
+pub use kitti::KittiScenes;
 pub use method::Method;
 pub(crate) use method::complete;
 pub use scene::{Scene, Scenes, WorldScenes};

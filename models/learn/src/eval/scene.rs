@@ -136,7 +136,7 @@ impl Scene {
     /// # Errors
     /// [`EvalError::Scene`], when its events do not fit the raster.
     pub fn of_example(example: &Example) -> Result<Self, EvalError> {
-        let name = format!("{}:{}", example.tier.letter(), example.seed);
+        let name = format!("{}:{}", example.origin.letter(), example.seed);
         let fault = |fault: String| EvalError::Scene {
             scene: name.clone(),
             fault,

@@ -43,6 +43,20 @@ impl Window {
         }))
     }
 
+    /// The same with so many pixels more on every side, where the picture has them.
+    #[must_use]
+    pub fn grown(&self, margin: usize, width: usize, height: usize) -> Option<Self> {
+        let grow = |start: usize, len: usize, room: usize| {
+            let end = start.checked_add(len).filter(|end| *end <= room)?;
+            let grown = start.saturating_sub(margin);
+            Some((grown, end.saturating_add(margin).min(room) - grown))
+        };
+        let (x, columns) = grow(self.x, self.size.width(), width)?;
+        let (y, rows) = grow(self.y, self.size.height(), height)?;
+        let size = Size::new(columns, rows).ok()?;
+        Some(Self { x, y, size })
+    }
+
     /// Its part of a map of `width` columns; `None` where the map does not reach that far.
     pub fn of_map(&self, map: &[f32], width: usize) -> Option<Vec<f32>> {
         let mut part = Vec::with_capacity(self.size.pixels());
@@ -94,6 +108,17 @@ mod tests {
         assert_eq!(cropped.map(|s| (s.x, s.y)), [(0, 96), (480, 96), (960, 96)]);
         assert_eq!(Window::squares(255, 400, 256), None);
         assert_eq!(Window::squares(400, 255, 256), None);
+    }
+
+    #[test]
+    fn a_grown_window_ends_with_the_picture() {
+        let size = Size::new(10, 20).expect("a size");
+        let window = Window { x: 3, y: 40, size };
+        let grown = window.grown(5, 100, 62).expect("inside");
+        assert_eq!((grown.x, grown.y), (0, 35));
+        assert_eq!((grown.size.width(), grown.size.height()), (18, 27));
+        assert_eq!(window.grown(0, 100, 62), Some(window));
+        assert_eq!(window.grown(5, 12, 62), None);
     }
 
     #[test]

@@ -7,7 +7,9 @@ use noctule_erunet::{ConfigError, SIDE_MULTIPLE};
 use noctule_world::STEPS;
 use thiserror::Error;
 
-use super::{Augment, Drives, Kind, Loss, Settings, Stage, TEST_SEEDS, VALIDATION_SEEDS, nights};
+use super::{
+    Augment, Drives, Kind, KittiDrives, Loss, Settings, Stage, TEST_SEEDS, VALIDATION_SEEDS, nights,
+};
 use crate::cache::Nights;
 
 /// Why settings describe no training run.
@@ -97,6 +99,27 @@ impl Settings {
         if !(1..=64).contains(&data.loaders) {
             return Err(number("data.loaders", data.loaders, "1 to 64"));
         }
+        if let Some(kitti) = &data.kitti {
+            kitti.check()?;
+        }
+        let only_kitti = data.kitti.as_ref().is_some_and(|kitti| kitti.share >= 1.0);
+        let validates_kitti = data.kitti.as_ref().is_some_and(|k| k.validation.is_some());
+        if only_kitti && !data.train.is_empty() {
+            let value = format!("{} ranges", data.train.len());
+            return Err(number(
+                "data.train",
+                value,
+                "none beside a KITTI share of 1",
+            ));
+        }
+        for (key, drives, is_optional) in [
+            ("data.train", &data.train, only_kitti),
+            ("data.validation", &data.validation, validates_kitti),
+        ] {
+            if drives.is_empty() && !is_optional {
+                return Err(number(key, "empty", "one range of seeds or more"));
+            }
+        }
         check_drives("data.train", &data.train, 0..VALIDATION_SEEDS)?;
         check_drives(
             "data.validation",
@@ -106,11 +129,40 @@ impl Settings {
     }
 }
 
-/// No empty list, no seed outside `allowed`, none twice in a tier.
-fn check_drives(key: &str, drives: &[Drives], allowed: Range<u64>) -> Result<(), SettingsError> {
-    if drives.is_empty() {
-        return Err(number(key, "empty", "one range of seeds or more"));
+impl KittiDrives {
+    fn check(&self) -> Result<(), SettingsError> {
+        let run = |name: &str, [first, last]: [u32; 2], least: u32| {
+            let is_run = first <= last && last < u32::MAX && last - first >= least - 1;
+            is_run.then_some(()).ok_or_else(|| {
+                number(
+                    format!("data.kitti.{name}"),
+                    format!("[{first}, {last}]"),
+                    format!("first and last frame, both included, {least} frames or more"),
+                )
+            })
+        };
+        run("frames", self.frames, 4)?;
+        if let Some(validation) = self.validation {
+            run("validation", validation, 1)?;
+            if validation[0] <= self.frames[1] && self.frames[0] <= validation[1] {
+                let value = format!("[{}, {}]", validation[0], validation[1]);
+                let wanted = "none of the frames that are trained on";
+                return Err(number("data.kitti.validation", value, wanted));
+            }
+        }
+        if !(1..=256).contains(&self.cuts) {
+            return Err(number("data.kitti.cuts", self.cuts, "1 to 256"));
+        }
+        if !(self.share > 0.0 && self.share <= 1.0) {
+            let wanted = "above 0, up to 1";
+            return Err(number("data.kitti.share", self.share, wanted));
+        }
+        Ok(())
     }
+}
+
+/// No seed outside `allowed`, none twice in a tier.
+fn check_drives(key: &str, drives: &[Drives], allowed: Range<u64>) -> Result<(), SettingsError> {
     let nights = nights(drives)?;
     for (index, night) in nights.iter().enumerate() {
         let Range { start, end } = night.seeds;

@@ -64,10 +64,43 @@ pub struct Data {
     /// Threads that prepare batches ahead of the trainer.
     #[serde(default = "one")]
     pub loaders: usize,
-    /// Drives to train on, seeds below [`VALIDATION_SEEDS`].
+    /// Drives to train on, seeds below [`VALIDATION_SEEDS`]; none where `kitti` gives all examples.
+    #[serde(default)]
     pub train: Vec<Drives>,
-    /// Drives to validate on, seeds from [`VALIDATION_SEEDS`] to below [`TEST_SEEDS`].
+    /// Drives to validate on, seeds from [`VALIDATION_SEEDS`] to below [`TEST_SEEDS`]; none where
+    /// `kitti` has frames to validate on.
+    #[serde(default)]
     pub validation: Vec<Drives>,
+    /// Real drives, beside the nights or in place of them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub kitti: Option<KittiDrives>,
+}
+
+/// Raw drives of KITTI that are trained and validated on.
+///
+/// A drive of 32 scanned frames or more makes exposures of eight frames. A shorter one is a clip:
+/// four frames make eight steps, and its frames from number 8 on, which it is scored on, are
+/// refused. Drives that the depth benchmark holds back from training are refused too.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KittiDrives {
+    /// Folder of the raw drives in KITTI's layout; relative to the working directory.
+    pub root: PathBuf,
+    /// Their names (`2011_09_26_drive_0001_sync`); empty for all that are not held back.
+    #[serde(default)]
+    pub drives: Vec<String>,
+    /// First and last frame of every drive to train on, both included. Nothing outside is seen.
+    pub frames: [u32; 2],
+    /// First and last frame to validate on, both included, none of `frames`. Scored are these
+    /// frames; the exposures that end with them may begin in frames that are trained on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub validation: Option<[u32; 2]>,
+    /// Squares of `data.size` pixels cut from the bottom of each exposure at columns drawn by
+    /// chance; each serves four times, every ring of four being given once.
+    #[serde(default = "default_cuts")]
+    pub cuts: usize,
+    /// Share of training examples taken from here; the rest are nights.
+    pub share: f64,
 }
 
 /// Some drives of one tier.
@@ -258,6 +291,9 @@ fn default_device() -> String {
 }
 const fn default_size() -> usize {
     256
+}
+const fn default_cuts() -> usize {
+    12
 }
 const fn default_average() -> f64 {
     0.999

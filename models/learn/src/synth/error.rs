@@ -46,4 +46,27 @@ pub enum SynthError {
     /// The up-sampling factor is out of range.
     #[error("{0} pictures per frame, wanted 1 to {max}", max = super::BETWEEN_MAX)]
     Between(usize),
+    /// A window does not lie within the frames.
+    #[error(
+        "a window of {}x{} pixels at ({}, {}) of frames of {}x{}",
+        size[0], size[1], at[0], at[1], whole[0], whole[1]
+    )]
+    View {
+        /// First column and row.
+        at: [usize; 2],
+        /// Width and height.
+        size: [usize; 2],
+        /// Of the frames.
+        whole: [usize; 2],
+    },
+    /// A picture that flow is asked of is none.
+    #[error("grey of {len} numbers{}, wanted {wanted} finite ones", if *is_finite { "" } else { ", not all finite" })]
+    Grey {
+        /// Its numbers.
+        len: usize,
+        /// One for each pixel.
+        wanted: usize,
+        /// Whether all of them are numbers.
+        is_finite: bool,
+    },
 }

@@ -1,32 +1,56 @@
 //! Exposures made of sharp frames: the blurred picture and the events that a night rig would have
 //! had of the same motion.
 //!
-//! The frames are taken to linear light and looked at `between` times per frame, blended from the
-//! two around each instant. Their mean, darkened and with the noise of few electrons, is the long
-//! exposure; the same pictures go through the world's [`EventSimulator`], after eight of warm-up.
-//! Everything is a pure function of frames, recipe and seed, bit for bit.
+//! The frames are taken to linear light and looked at `between` times per frame or more often,
+//! moved along the optical flow between the two around each instant, or blended from them. The
+//! pictures' mean, darkened and with the noise of few electrons, is the long exposure; the same
+//! pictures go through the world's [`EventSimulator`], after eight of warm-up. Everything is a pure
+//! function of frames, recipe and seed, bit for bit.
 
 mod error;
 mod film;
+mod flow;
 mod footage;
+mod motion;
+mod plane;
 
 use noctule_raster::{EXPOSURE_US_MAX, PackedEvent};
 use noctule_world::{EventSimulator, LUMA, PixelModel, STEPS};
 
 pub use error::SynthError;
 pub use film::Film;
+pub use flow::OpticalFlow;
 pub use footage::Footage;
+use footage::Scratch;
 
 /// Most pictures looked at per frame.
 pub const BETWEEN_MAX: usize = 64;
+/// Where doubling the pictures per frame ends, however fast things move.
+const DOUBLED_MAX: usize = 32;
+/// Farthest that things may move from picture to picture before that, pixels.
+const REACH_PX: f32 = 1.0;
 /// Pictures that events settle on before the shutter opens.
 const WARM_UP: usize = 8;
+
+/// How pictures between two frames are made of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum InBetween {
+    /// Moved along optical flow; blended where that contradicts itself.
+    #[default]
+    Moved,
+    /// Blended. What moves by more than a pixel from frame to frame fades out and in instead of
+    /// moving; cheaper by far, and right where light changes and nothing moves.
+    Blended,
+}
 
 /// How exposures are made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Synthesis {
-    /// Pictures looked at per frame, 1 to [`BETWEEN_MAX`].
+    /// Pictures looked at per frame, 1 to [`BETWEEN_MAX`]. Where they are moved it is the least
+    /// number: doubled, up to 32, until nearly nothing moves by more than a pixel between two.
     pub between: usize,
+    /// How they are made.
+    pub in_between: InBetween,
     /// The event camera's pixels.
     pub pixels: PixelModel,
     /// The frame camera's noise; `None` for a blur without noise.
@@ -36,14 +60,27 @@ pub struct Synthesis {
 }
 
 impl Synthesis {
-    /// Eight pictures per frame, the world's pixels of this seed, and its night.
+    /// Eight pictures per frame or more, moved; the world's pixels of this seed, and its night.
     pub fn of_seed(seed: u64) -> Self {
         Self {
             between: 8,
+            in_between: InBetween::Moved,
             pixels: PixelModel::of_seed(seed),
             film: Some(Film::of_seed(seed)),
             seed,
         }
+    }
+
+    /// Pictures per frame that `footage` is looked at with from `open` to `close`, both in frames.
+    pub fn pictures_per_frame(&self, footage: &Footage, open: f64, close: f64) -> usize {
+        let mut between = self.between.max(1);
+        if self.in_between == InBetween::Moved {
+            let reach = footage.reach(open, close);
+            while reach > REACH_PX * between as f32 && 2 * between <= DOUBLED_MAX {
+                between *= 2;
+            }
+        }
+        between
     }
 }
 
@@ -86,9 +123,8 @@ pub fn expose(
         });
     }
     let frames = close - open;
-    let per_step = (frames * recipe.between as f64 / STEPS as f64)
-        .ceil()
-        .max(1.0) as usize;
+    let between = recipe.pictures_per_frame(footage, open, close);
+    let per_step = (frames * between as f64 / STEPS as f64).ceil().max(1.0) as usize;
     let count = STEPS * per_step;
     let instant = |index: f64| open + frames * (index - WARM_UP as f64) / count as f64;
 
@@ -97,10 +133,10 @@ pub fn expose(
         EventSimulator::new(size.width(), size.height(), recipe.pixels, recipe.seed);
     let lead_us = (micros * WARM_UP as f64 / count as f64).ceil();
     let (mut light, mut luma, mut mean) = (Vec::new(), vec![0.0; area], vec![0.0_f32; 3 * area]);
-    let mut found = Vec::new();
+    let (mut found, mut scratch) = (Vec::new(), Scratch::default());
     for index in 0..WARM_UP + count + 1 {
         let at = instant(index as f64 + 0.5);
-        footage.light_at(at, &mut light);
+        footage.light_at(at, recipe.in_between, &mut scratch, &mut light);
         for (pixel, luma) in luma.iter_mut().enumerate() {
             *luma = (0..3).map(|c| LUMA[c] * light[c * area + pixel]).sum();
         }
@@ -117,10 +153,8 @@ pub fn expose(
     }
     let mut sharp = Vec::with_capacity(STEPS * 3 * area);
     for step in 0..STEPS {
-        footage.light_at(
-            open + frames * (step as f64 + 0.5) / STEPS as f64,
-            &mut light,
-        );
+        let centre = open + frames * (step as f64 + 0.5) / STEPS as f64;
+        footage.light_at(centre, recipe.in_between, &mut scratch, &mut light);
         sharp.append(&mut film::develop_clean(&light));
     }
     Ok(Exposed {

@@ -13,7 +13,7 @@ use super::validate::Validation;
 
 const STEP_HEADER: &str = "stage,step,total,rate,loss,gradient_norm,blurred,spread,seconds";
 const VALIDATION_HEADER: &str = "stage,total,score,rmse,mae,edge_mae,mover_mae,thin_mae,mae_mm,\
-    last_over_first,picture_loss,picture_blurred,picture_spread,seconds";
+    last_over_first,picture_loss,picture_blurred,picture_spread,kitti_rmse,kitti_mae,kitti_mae_mm,seconds";
 const WIDTH: usize = 900;
 const PANEL: usize = 260;
 const LEFT: usize = 60;
@@ -92,9 +92,8 @@ impl Curves {
         let write = "writing to a string cannot fail";
         match found.depth {
             Some(d) => {
-                let score = d.score();
                 let parts = [
-                    score,
+                    found.score().unwrap_or(f64::NAN),
                     d.rmse,
                     d.mae,
                     d.edge_mae,
@@ -112,6 +111,10 @@ impl Curves {
         }
         match found.pictures {
             Some(p) => write!(line, ",{},{},{}", p.loss, p.blurred, p.spread).expect(write),
+            None => line.push_str(",,,"),
+        }
+        match found.kitti {
+            Some(k) => write!(line, ",{:.5},{:.5},{:.5}", k.rmse, k.mae, k.mae_mm).expect(write),
             None => line.push_str(",,,"),
         }
         writeln!(line, ",{:.1}", found.seconds).expect(write);

@@ -90,7 +90,7 @@ impl Grid {
                 self.draw(|rgb| error_to_rgb(pred, truth, ERROR_FULL_M, rgb))?,
             ),
         ];
-        let label = format!("tier {}, seed {}", example.tier.letter(), example.seed);
+        let label = format!("tier {}, seed {}", example.origin.letter(), example.seed);
         self.rows.push(Row { label, tiles });
         Ok(())
     }

@@ -21,7 +21,7 @@ use std::sync::atomic::AtomicBool;
 use candle_core::Device;
 use noctule_erunet::{Weights, WeightsError};
 
-use crate::cache::{Cache, Examples, write_whole};
+use crate::cache::{Cache, Examples, KittiClips, Part, write_whole};
 use crate::settings::{Kind, Settings};
 use checkpoint::{Checkpoint, Place};
 use curves::Curves;
@@ -129,12 +129,19 @@ impl Run {
             }
         };
         let total = total_before(&settings, place.stage) + place.step;
+        let (mut examples, mut real) = (cache.open(&settings.train()?)?, Examples::default());
+        if let Some(kitti) = &settings.data.kitti {
+            let open = |part| cache.open_clips(&KittiClips::open(kitti, part)?);
+            examples = examples.mixed_with(open(Part::Train)?, kitti.share);
+            real = open(Part::Validation)?;
+        }
         let depth_max_m = config.d_max as f32;
         Ok(Self {
             curves: Curves::open(&start.folder, total)?,
-            examples: Arc::new(cache.open(&settings.train()?)?),
+            examples: Arc::new(examples),
             validator: Validator::new(
                 cache.open(&settings.validation()?)?,
+                real,
                 settings.data.size,
                 depth_max_m,
                 settings.threads,
@@ -270,6 +277,9 @@ fn first_difference(before: &Settings, now: &Settings) -> Option<String> {
         (settings.threads, settings.device) = (1, String::new());
         settings.data.loaders = 1;
         settings.data.cache = PathBuf::new();
+        if let Some(kitti) = &mut settings.data.kitti {
+            kitti.root = PathBuf::new();
+        }
         for stage in &mut settings.stages {
             (stage.collapse_margin, stage.go_on_collapsed) = (1.0, false);
             (stage.validate_every, stage.checkpoint_every) = (1, 1);

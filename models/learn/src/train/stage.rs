@@ -171,7 +171,7 @@ impl Run {
             found.step
         );
         grid.save(&self.file("grid.png"), &title)?;
-        if let Some(score) = found.depth.map(|depth| depth.score())
+        if let Some(score) = found.score()
             && score.is_finite()
             && self.place.best.is_none_or(|best| score < best)
         {

@@ -26,13 +26,28 @@ pub struct Validation {
     pub step: u64,
     /// Wall-clock seconds it took.
     pub seconds: f64,
-    /// Depth, in the stages that train it.
+    /// Depth of nights, in the stages that train it.
     pub depth: Option<DepthValidation>,
+    /// Depth of real frames likewise, where the settings hold some for it.
+    pub kitti: Option<DepthValidation>,
     /// Pictures, in stage 1.
     pub pictures: Option<PictureValidation>,
 }
 
-/// Errors as shares of those of the exact nearest return on the same exposures, all steps.
+impl Validation {
+    /// One number to compare weights by, lower is better: the mean over nights and real frames.
+    pub fn score(&self) -> Option<f64> {
+        let scores = [
+            self.depth.map(|depth| depth.score()),
+            self.kitti.map(|depth| depth.plain_score()),
+        ];
+        let scores: Vec<f64> = scores.into_iter().flatten().collect();
+        (!scores.is_empty()).then(|| scores.iter().sum::<f64>() / scores.len() as f64)
+    }
+}
+
+/// Errors as shares of those of the exact nearest return on the same exposures, all steps; not a
+/// number where there is nothing of the kind.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct DepthValidation {
     /// Root mean square error.
@@ -56,6 +71,11 @@ impl DepthValidation {
     pub fn score(&self) -> f64 {
         (self.rmse + self.mae + self.edge_mae) / 3.0
     }
+
+    /// The same without edges, which truth of single returns does not show.
+    pub fn plain_score(&self) -> f64 {
+        0.5 * (self.rmse + self.mae)
+    }
 }
 
 /// Restoration's loss, which only means something beside that of the blurred picture.
@@ -77,32 +97,45 @@ impl PictureValidation {
 }
 
 /// Validation's examples and what the nearest return makes of them.
-pub(super) struct Validator {
+struct Held {
     examples: Examples,
-    size: Size,
     nearest: Score,
+}
+
+/// Validates on nights, on real frames, or on both.
+pub(super) struct Validator {
+    nights: Option<Held>,
+    kitti: Option<Held>,
+    size: Size,
     depth_max_m: f32,
     threads: usize,
 }
 
 impl Validator {
     pub(super) fn new(
-        examples: Examples,
+        nights: Examples,
+        kitti: Examples,
         side: usize,
         depth_max_m: f32,
         threads: usize,
     ) -> Result<Self, TrainError> {
         let size = Size::new(side, side)?;
-        let mut table = ScoreTable::new();
-        for index in 0..examples.len() {
-            let example = examples.read(index, false)?;
-            add(&mut table, index, &nearest(&example, size)?, &example, size)?;
-        }
-        let nearest = table.mean().ok_or_else(no_truth)?;
+        let hold = |examples: Examples| -> Result<Option<Held>, TrainError> {
+            if examples.is_empty() {
+                return Ok(None);
+            }
+            let mut table = ScoreTable::new();
+            for index in 0..examples.len() {
+                let example = examples.read(index, false)?;
+                add(&mut table, index, &nearest(&example, size)?, &example, size)?;
+            }
+            let nearest = table.mean().ok_or_else(no_truth)?;
+            Ok(Some(Held { examples, nearest }))
+        };
         Ok(Self {
-            examples,
+            nights: hold(nights)?,
+            kitti: hold(kitti)?,
             size,
-            nearest,
             depth_max_m,
             threads,
         })
@@ -139,12 +172,14 @@ impl Validator {
             blurred: 0.0,
             spread: 0.0,
         };
-        let share = 1.0 / self.examples.len() as f64;
-        for index in 0..self.examples.len() {
+        let held = self.nights.as_ref().or(self.kitti.as_ref());
+        let examples = &held.ok_or_else(no_truth)?.examples;
+        let share = 1.0 / examples.len() as f64;
+        for index in 0..examples.len() {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
-            let example = self.examples.read(index, true)?;
+            let example = examples.read(index, true)?;
             let wanted = Some((loss.reblur_domain, loss.contrast));
             let batch = Batch::whole(&example, wanted, self.depth_max_m);
             let inputs = batch
@@ -164,11 +199,9 @@ impl Validator {
             seconds: started.elapsed().as_secs_f64(),
             pictures: Some(mean),
             depth: None,
+            kitti: None,
         };
-        Ok(Some((
-            validation,
-            Grid::new(self.size, self.examples.len()),
-        )))
+        Ok(Some((validation, Grid::new(self.size, examples.len()))))
     }
 
     /// Depth, through the compiled plan that vehicles use.
@@ -186,56 +219,64 @@ impl Validator {
             ..PlanOptions::default()
         };
         let mut plan = Plan::new(config, weights, height, width, options)?;
-        let mut grid = Grid::new(self.size, self.examples.len());
-        let mut table = ScoreTable::new();
-        for index in 0..self.examples.len() {
-            if stop.load(Ordering::Relaxed) {
-                return Ok(None);
+        let mut found = [None, None];
+        let mut sheet = None;
+        for (held, found) in [&self.nights, &self.kitti].into_iter().zip(&mut found) {
+            let Some(held) = held else {
+                continue;
+            };
+            let mut grid = Grid::new(self.size, held.examples.len());
+            let mut table = ScoreTable::new();
+            for index in 0..held.examples.len() {
+                if stop.load(Ordering::Relaxed) {
+                    return Ok(None);
+                }
+                let example = held.examples.read(index, false)?;
+                let scene = Scene::of_example(&example)?;
+                let pred = complete(&mut plan, &scene, Withheld::default())?;
+                add(&mut table, index, &pred, &example, self.size)?;
+                let beside = nearest(&example, self.size)?;
+                grid.add(index, &example, &scene, [&pred, &beside])?;
             }
-            let example = self.examples.read(index, false)?;
-            let scene = Scene::of_example(&example)?;
-            let pred = complete(&mut plan, &scene, Withheld::default())?;
-            add(&mut table, index, &pred, &example, self.size)?;
-            grid.add(
-                index,
-                &example,
-                &scene,
-                [&pred, &nearest(&example, self.size)?],
-            )?;
+            let mean = table.mean().ok_or_else(no_truth)?;
+            *found = Some(shares(&mean, &held.nearest, &table));
+            sheet = sheet.or(Some(grid));
         }
-        let mean = table.mean().ok_or_else(no_truth)?;
+        let [depth, kitti] = found;
         let validation = Validation {
             stage: kind.name(),
             step: 0,
             seconds: started.elapsed().as_secs_f64(),
             pictures: None,
-            depth: Some(self.shares(&mean, &table)),
+            depth,
+            kitti,
         };
-        Ok(Some((validation, grid)))
+        Ok(Some((validation, sheet.ok_or_else(no_truth)?)))
     }
+}
 
-    fn shares(&self, mean: &Score, table: &ScoreTable) -> DepthValidation {
-        let part = |part: fn(&Score) -> Option<f64>| match (part(mean), part(&self.nearest)) {
-            (Some(ours), Some(nearest)) if nearest > 0.0 => ours / nearest,
-            _ => f64::NAN,
-        };
-        let of_step = |step: u64| {
-            let maes: Vec<f64> = table
-                .rows()
-                .filter(|(index, _)| index % STEPS as u64 == step)
-                .map(|(_, score)| score.metrics.mae_mm)
-                .collect();
-            maes.iter().sum::<f64>() / maes.len() as f64
-        };
-        DepthValidation {
-            rmse: part(|s| Some(s.metrics.rmse_mm)),
-            mae: part(|s| Some(s.metrics.mae_mm)),
-            edge_mae: part(|s| s.edge_band_mae_mm),
-            mover_mae: part(|s| s.mover_mae_mm),
-            thin_mae: part(|s| s.thin_mae_mm),
-            mae_mm: mean.metrics.mae_mm,
-            last_over_first: of_step(STEPS as u64 - 1) / of_step(0),
-        }
+/// Errors over those of the nearest returns.
+fn shares(mean: &Score, nearest: &Score, table: &ScoreTable) -> DepthValidation {
+    let part = |part: fn(&Score) -> Option<f64>| match (part(mean), part(nearest)) {
+        (Some(ours), Some(nearest)) if nearest > 0.0 => ours / nearest,
+        _ => f64::NAN,
+    };
+    let of_step = |step: u64| {
+        let maes: Vec<f64> = table
+            .rows()
+            .filter(|(index, _)| index % STEPS as u64 == step)
+            .map(|(_, score)| score.metrics.mae_mm)
+            .collect();
+        maes.iter().sum::<f64>() / maes.len() as f64
+    };
+    DepthValidation {
+        rmse: part(|s| Some(s.metrics.rmse_mm)),
+        mae: part(|s| Some(s.metrics.mae_mm)),
+        edge_mae: part(|s| s.edge_band_mae_mm),
+        mover_mae: part(|s| s.mover_mae_mm),
+        thin_mae: part(|s| s.thin_mae_mm),
+        mae_mm: mean.metrics.mae_mm,
+        last_over_first: of_step(STEPS as u64 - 1) / of_step(0),
     }
 }
 
