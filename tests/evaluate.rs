@@ -45,3 +45,22 @@ fn a_network_that_is_not_there_is_named() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("full") && said.contains("\"xs\""), "{said}");
 }
+
+/// A sheet of one exposure holds seven tiles side by side, and one more for each further row of
+/// methods.
+#[test]
+fn what_was_scored_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let draw = |inputs: &str| {
+        let path = folder.path().join("sheet.png");
+        let data = ["--weights", "xs", "--data", "world:A:200000..200001"];
+        let drawn = ["--pictures", path.to_str().unwrap(), "--inputs", inputs];
+        let output = eval(&[&data[..], &drawn].concat());
+        assert!(output.status.success(), "{output:?}");
+        let decoder =
+            png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap()));
+        decoder.read_info().unwrap().info().width
+    };
+    let (one, two) = (draw("full"), draw("full,no-events"));
+    assert!(one > 7 * 256 && two > one + 256, "{one} {two}");
+}

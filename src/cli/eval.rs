@@ -7,8 +7,8 @@ use noctule::config::Config;
 use noctule::dataset::RecordedScenes;
 use noctule_erunet::PlanOptions;
 use noctule_learn::{
-    DataSet, EvalError, KittiScenes, Method, Scenes, Scores, Share, Withheld, csv, evaluate,
-    markdown, nyu_pairs,
+    DataSet, EvalError, Gallery, KittiScenes, Method, Observed, Scenes, Scores, Share, Withheld,
+    csv, evaluate, markdown, nyu_pairs,
 };
 
 use super::{Failure, Outcome, named, progress, stop_on_signals};
@@ -31,6 +31,9 @@ pub struct Arguments {
     /// Writes the table of single images
     #[arg(long, value_name = "FILE")]
     per_image: Option<PathBuf>,
+    /// Draws six of the exposures: inputs, depth, truth and error of the last network
+    #[arg(long, value_name = "PNG", conflicts_with = "merge")]
+    pictures: Option<PathBuf>,
     /// What networks may see: `full`, or `no-events`, `no-image`, `no-lidar` joined by `+`;
     /// one row each
     #[arg(long, value_delimiter = ',', default_value = "full")]
@@ -115,21 +118,44 @@ fn evaluated(arguments: &Arguments, data: &DataSet) -> Result<Scores, Failure> {
         }
     };
     let bar = progress::bar(0, "scoring exposures");
+    let mut gallery = Gallery::default();
     let scores = evaluate(
         scenes,
         &mut methods,
         arguments.shard,
         &stop,
-        &mut |done, of| {
+        &mut |observed| {
+            let (done, of) = observed.progress;
             bar.set_length(of as u64);
             bar.set_position(done as u64);
+            match arguments.pictures {
+                Some(_) => {
+                    let networks = arguments.weights.len() * arguments.inputs.len();
+                    draw(&mut gallery, networks, observed)
+                }
+                None => Ok(()),
+            }
         },
     );
     bar.finish_and_clear();
+    if let (Some(path), Ok(_)) = (&arguments.pictures, &scores) {
+        gallery.save(path, &arguments.weights.join(", "))?;
+    }
     match scores {
         Err(EvalError::Interrupted) => Err(Failure::Interrupted),
         scores => Ok(scores?),
     }
+}
+
+/// The nearest return and what the networks make of it, beside inputs and truth.
+fn draw(gallery: &mut Gallery, networks: usize, observed: &Observed<'_>) -> Result<(), EvalError> {
+    let nearest = observed.maps.iter().filter(|(name, _)| name == "nearest");
+    let drawn: Vec<(&str, &[f32])> = nearest
+        .chain(observed.maps.iter().take(networks))
+        .map(|(name, maps)| (name.as_str(), &maps[..]))
+        .collect();
+    let (done, of) = observed.progress;
+    gallery.add((done - 1, of), observed.scene, &drawn)
 }
 
 /// Networks by what they may see, then what needs no learning.

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 use noctule_learn::{
-    Cache, CacheError, KittiClips, Kind, Part, Prepared, Report, Run, Settings, Start, StepReport, TrainError,
-    Validation,
+    Cache, CacheError, Kind, KittiClips, Part, Prepared, Report, Run, Settings, Start, StepReport,
+    TrainError, Validation,
 };
 
 use super::{Failure, Outcome, progress, stop_on_signals};

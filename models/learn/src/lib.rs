@@ -35,8 +35,8 @@ pub use cache::{
 };
 pub use clip::held_out;
 pub use eval::{
-    DataSet, EvalError, KittiScenes, Method, MethodScores, Row, Scene, Scenes, Scores, Share,
-    Withheld, WorldScenes, csv, evaluate, markdown,
+    DataSet, EvalError, Gallery, KittiScenes, Method, MethodScores, Observed, Row, Scene, Scenes,
+    Scores, Share, Withheld, WorldScenes, csv, evaluate, markdown,
 };
 pub use loss::{DepthLoss, PictureLoss, depth_loss, picture_loss};
 pub use read::{

@@ -39,7 +39,7 @@ fn network(path: &Path, withheld: &str) -> Method {
 
 fn run(methods: &mut [Method], share: Share) -> Scores {
     let stop = AtomicBool::new(false);
-    evaluate(&scenes(), methods, share, &stop, &mut |_, _| {}).unwrap()
+    evaluate(&scenes(), methods, share, &stop, &mut |_| Ok(())).unwrap()
 }
 
 /// Wall-clock time aside.
@@ -231,7 +231,7 @@ fn a_scene_that_does_not_fit_is_named() {
             &mut Method::baselines(),
             Share::WHOLE,
             stop,
-            &mut |_, _| {},
+            &mut |_| Ok(()),
         )
         .unwrap_err()
     };

@@ -131,7 +131,7 @@ fn the_captures_clip_is_scored_on_held_out_rings() {
         &mut Method::baselines(),
         Share::WHOLE,
         &stop,
-        &mut |_, _| {},
+        &mut |_| Ok(()),
     );
     let rows = scores.unwrap().rows();
     eprintln!("{}", noctule_learn::markdown(&rows));
@@ -144,7 +144,7 @@ fn the_captures_clip_is_scored_on_held_out_rings() {
         &mut Method::baselines(),
         Share::WHOLE,
         &stop,
-        &mut |_, _| {},
+        &mut |_| Ok(()),
     );
     let rows = scores.unwrap().rows();
     eprintln!("{}", noctule_learn::markdown(&rows));

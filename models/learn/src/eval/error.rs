@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use noctule_depth::{MetricsError, SizeError};
+use noctule_depth::{MetricsError, PictureError, PngError, SizeError};
 use noctule_erunet::{ConfigError, PlanError, WeightsError};
 use thiserror::Error;
 
@@ -77,4 +77,10 @@ pub enum EvalError {
     /// A map has a size that cannot be.
     #[error(transparent)]
     Size(#[from] SizeError),
+    /// A picture could not be drawn.
+    #[error(transparent)]
+    Picture(#[from] PictureError),
+    /// A picture could not be saved.
+    #[error(transparent)]
+    Png(#[from] PngError),
 }

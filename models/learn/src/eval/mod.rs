@@ -2,6 +2,7 @@
 
 mod data;
 mod error;
+mod gallery;
 mod kitti;
 mod method;
 mod scene;
@@ -11,6 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 pub use data::{DataSet, Share, Withheld};
 pub use error::EvalError;
+pub use gallery::Gallery;
 pub use kitti::KittiScenes;
 pub use method::Method;
 pub(crate) use method::complete;
@@ -19,8 +21,18 @@ pub use table::{MethodScores, Row, Scores, csv, markdown};
 
 use crate::score::score_sequence;
 
-/// Runs every method on a share of the exposures; `progress` is told how many are done, and of how
-/// many.
+/// One exposure that every method has completed.
+#[derive(Debug)]
+pub struct Observed<'a> {
+    /// How many are done of how many, this one included.
+    pub progress: (usize, usize),
+    /// The exposure.
+    pub scene: &'a Scene,
+    /// Each method's name and maps, `[T, H, W]` in metres, in the order of the methods.
+    pub maps: &'a [(String, Vec<f32>)],
+}
+
+/// Runs every method on a share of the exposures; `observe` is shown each as it is done.
 ///
 /// # Errors
 /// [`EvalError`], when an exposure cannot be had or a method fails on it;
@@ -30,7 +42,7 @@ pub fn evaluate(
     methods: &mut [Method],
     share: Share,
     stop: &AtomicBool,
-    progress: &mut dyn FnMut(usize, usize),
+    observe: &mut dyn FnMut(&Observed<'_>) -> Result<(), EvalError>,
 ) -> Result<Scores, EvalError> {
     let mut scores = Scores::default();
     let indices: Vec<usize> = share.of(scenes.count()).collect();
@@ -40,14 +52,20 @@ pub fn evaluate(
         }
         let scene = scenes.scene(index)?;
         scene.check()?;
+        let mut maps = Vec::with_capacity(methods.len());
         for method in methods.iter_mut() {
             let predicted = method.predict(&scene)?;
             let found = score_sequence(&predicted.depth, scene.truth(), scene.size)?;
             let (params, gmac) = method.cost();
             let about = (method.name(), params, gmac);
             scores.add(about, index, &scene.name, &found, predicted.seconds)?;
+            maps.push((method.name().to_owned(), predicted.depth));
         }
-        progress(done + 1, indices.len());
+        observe(&Observed {
+            progress: (done + 1, indices.len()),
+            scene: &scene,
+            maps: &maps,
+        })?;
     }
     Ok(scores)
 }

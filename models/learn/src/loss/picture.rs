@@ -6,8 +6,6 @@ use super::depth::differences;
 use crate::batch::{GAMMA, GREY};
 use crate::settings::{Domain, Loss};
 
-/// Charbonnier's guard, squared.
-const CHARBONNIER_EPS_SQ: f64 = 1e-6;
 /// Side and spread of SSIM's window, pixels (Wang et al. 2004).
 const WINDOW: usize = 11;
 const SIGMA: f64 = 1.5;
@@ -45,9 +43,10 @@ pub fn picture_loss(
 ) -> Result<PictureLoss> {
     let fold = |x: &Tensor| x.flatten(0, 2); // [B*T*3, H, W]
     let (ours, theirs) = (fold(restored)?, fold(sharp)?);
-    let charbonnier_loss = charbonnier(restored, sharp)?;
+    let charbonnier_loss = charbonnier(restored, sharp, weights.charbonnier_guard)?;
     let ssim_loss = (1.0 - ssim(&ours, &theirs)?)?;
-    let edge = charbonnier(&laplacian(&ours)?, &laplacian(&theirs)?)?;
+    let guard = weights.charbonnier_guard;
+    let edge = charbonnier(&laplacian(&ours)?, &laplacian(&theirs)?, guard)?;
     let reblur = (average(restored, weights.reblur_domain)? - blur)?
         .abs()?
         .mean_all()?;
@@ -104,8 +103,8 @@ pub(crate) fn temporal_spread(pictures: &Tensor) -> Result<f64> {
     Ok(f64::from(spread.to_scalar::<f32>()?))
 }
 
-fn charbonnier(a: &Tensor, b: &Tensor) -> Result<Tensor> {
-    ((a - b)?.sqr()? + CHARBONNIER_EPS_SQ)?.sqrt()?.mean_all()
+fn charbonnier(a: &Tensor, b: &Tensor, guard: f64) -> Result<Tensor> {
+    ((a - b)?.sqr()? + guard * guard)?.sqrt()?.mean_all()
 }
 
 /// Grey, `[B, T, 1, H, W]`.

@@ -217,6 +217,7 @@ impl Loss {
     pub(super) fn check(&self) -> Result<(), SettingsError> {
         let weights = [
             ("charbonnier", self.charbonnier),
+            ("charbonnier_guard", self.charbonnier_guard),
             ("ssim", self.ssim),
             ("edge", self.edge),
             ("reblur", self.reblur),

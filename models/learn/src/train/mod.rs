@@ -7,7 +7,6 @@
 mod checkpoint;
 mod curves;
 mod error;
-mod grid;
 mod model;
 mod schedule;
 mod stage;

@@ -9,13 +9,12 @@ use noctule_world::STEPS;
 use serde::Serialize;
 
 use super::error::TrainError;
-use super::grid::Grid;
 use super::step::{batch_loss, scalar};
 use crate::batch::{Batch, BatchError};
 use crate::cache::{Example, Examples};
-use crate::eval::{Scene, Withheld, complete};
+use crate::eval::{Gallery, Scene, Withheld, complete};
 use crate::score::{DEPTH_CAP_M, Truth, score_sequence};
-use crate::settings::{Kind, Loss};
+use crate::settings::{CHARBONNIER_GUARD, Kind, Loss};
 
 /// What a validation found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -149,7 +148,7 @@ impl Validator {
         kind: Kind,
         loss: &Loss,
         stop: &AtomicBool,
-    ) -> Result<Option<(Validation, Grid)>, TrainError> {
+    ) -> Result<Option<(Validation, Gallery)>, TrainError> {
         if kind == Kind::Restore {
             self.pictures(weights, loss, stop)
         } else {
@@ -163,8 +162,13 @@ impl Validator {
         weights: &Weights,
         loss: &Loss,
         stop: &AtomicBool,
-    ) -> Result<Option<(Validation, Grid)>, TrainError> {
+    ) -> Result<Option<(Validation, Gallery)>, TrainError> {
         let started = Instant::now();
+        let loss = &Loss {
+            charbonnier_guard: CHARBONNIER_GUARD,
+            restored_power: 0.0,
+            ..*loss
+        };
         let config = weights.config().ok_or_else(no_truth)?;
         let network = Network::new(config, weights, Norms::Fold)?;
         let mut mean = PictureValidation {
@@ -201,7 +205,7 @@ impl Validator {
             depth: None,
             kitti: None,
         };
-        Ok(Some((validation, Grid::new(self.size, examples.len()))))
+        Ok(Some((validation, Gallery::default())))
     }
 
     /// Depth, through the compiled plan that vehicles use.
@@ -210,7 +214,7 @@ impl Validator {
         weights: &Weights,
         kind: Kind,
         stop: &AtomicBool,
-    ) -> Result<Option<(Validation, Grid)>, TrainError> {
+    ) -> Result<Option<(Validation, Gallery)>, TrainError> {
         let started = Instant::now();
         let config = weights.config().ok_or_else(no_truth)?;
         let (height, width) = (self.size.height(), self.size.width());
@@ -225,7 +229,7 @@ impl Validator {
             let Some(held) = held else {
                 continue;
             };
-            let mut grid = Grid::new(self.size, held.examples.len());
+            let mut grid = Gallery::default();
             let mut table = ScoreTable::new();
             for index in 0..held.examples.len() {
                 if stop.load(Ordering::Relaxed) {
@@ -236,7 +240,8 @@ impl Validator {
                 let pred = complete(&mut plan, &scene, Withheld::default())?;
                 add(&mut table, index, &pred, &example, self.size)?;
                 let beside = nearest(&example, self.size)?;
-                grid.add(index, &example, &scene, [&pred, &beside])?;
+                let drawn = [("nearest", &beside[..]), ("network", &pred)];
+                grid.add((index, held.examples.len()), &scene, &drawn)?;
             }
             let mean = table.mean().ok_or_else(no_truth)?;
             *found = Some(shares(&mean, &held.nearest, &table));
