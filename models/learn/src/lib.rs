@@ -4,7 +4,7 @@
 //!   same in every run, from any batch on.
 //! - [`Run`] trains in the paper's stages and can be stopped and taken up again at any step.
 //! - [`evaluate`] scores networks and what needs no learning on the same exposures.
-//! - [`KittiScenes`] scores on KITTI, read in its published layouts; [`expose`] makes the blur and
+//! - [`NyuScenes`] and [`RgbdScenes`] score in rooms, [`KittiScenes`] on KITTI, read in its published layouts; [`expose`] makes the blur and
 //!   the events of its sharp frames.
 //! - [`Settings`] are what a run is told. Seeds of validation and test cannot be trained on.
 //!
@@ -30,15 +30,17 @@ mod train;
 pub use batch::{Batch, BatchError, Inputs, Loader, Pictures, Recipe};
 pub use cache::{Cache, CacheError, Example, Examples, Nights, Prepared, SHARD_LEN, generator};
 pub use eval::{
-    DataSet, EvalError, KittiScenes, Method, MethodScores, Row, Scene, Scenes, Scores, Share,
-    Withheld, WorldScenes, csv, evaluate, held_out, markdown,
+    DataSet, EvalError, KittiScenes, Method, MethodScores, NyuScenes, RgbdScenes, Row, Scene,
+    Scenes, Scores, Share, Withheld, WorldScenes, csv, evaluate, held_out, markdown,
 };
 pub use loss::{DepthLoss, PictureLoss, depth_loss, picture_loss};
+#[cfg(feature = "hdf5")]
+pub use read::read_nyu_still;
 pub use read::{
-    BENCHMARK_HEIGHT, BENCHMARK_WIDTH, BenchmarkDrive, Calibration, ColourCamera, Drive, NyuPair,
-    Projected, RINGS, ReadError, ScanPoint, SelectedFrame, Selection, Split, Window,
-    benchmark_drives, is_validation_drive, nyu_pairs, raw_drives, read_scan, rings_by_elevation,
-    rings_by_order, sparse_depth,
+    BENCHMARK_HEIGHT, BENCHMARK_WIDTH, BenchmarkDrive, Calibration, ColourCamera, Drive, NyuLayout,
+    NyuPair, Projected, RINGS, ReadError, RgbdFrame, ScanPoint, SelectedFrame, Selection, Split,
+    Window, benchmark_drives, is_validation_drive, nyu_pairs, raw_drives, read_scan, rgbd_frames,
+    rgbd_sequences, rings_by_elevation, rings_by_order, sparse_depth,
 };
 pub use score::{DEPTH_CAP_M, DEPTH_MIN_M, Truth, score_sequence};
 pub use settings::{

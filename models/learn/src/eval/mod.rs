@@ -2,8 +2,11 @@
 
 mod data;
 mod error;
+mod indoor;
 mod kitti;
 mod method;
+mod nyu;
+mod rgbd;
 mod scene;
 mod table;
 
@@ -14,6 +17,8 @@ pub use error::EvalError;
 pub use kitti::{KittiScenes, held_out};
 pub use method::Method;
 pub(crate) use method::complete;
+pub use nyu::NyuScenes;
+pub use rgbd::RgbdScenes;
 pub use scene::{Scene, Scenes, WorldScenes};
 pub use table::{MethodScores, Row, Scores, csv, markdown};
 
