@@ -40,8 +40,8 @@ fn every_member_is_described_in_the_shared_form() {
         names,
         [
             ("full", "direct"),
-            ("s", "residual"),
-            ("xs", "residual"),
+            ("s", "choice"),
+            ("xs", "choice"),
             ("tiny", "direct")
         ]
     );

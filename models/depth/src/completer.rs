@@ -118,6 +118,19 @@ impl Completer {
         Ok(true)
     }
 
+    /// Gives every pixel what `values` has at its nearest return, as the last search found it: that
+    /// of any of the methods above and below. Before any search every pixel gets the first value.
+    ///
+    /// Errs if a slice is not `width * height` long; nothing is written then.
+    pub fn spread(&self, values: &[f32], out: &mut [f32]) -> Result<(), SizeError> {
+        self.size.check("values", values.len())?;
+        self.size.check("out", out.len())?;
+        for (out, &source) in out.iter_mut().zip(&self.field.source) {
+            *out = values[source as usize];
+        }
+        Ok(())
+    }
+
     /// Completes the map with surfaces fitted to the returns; see the crate's first page for how.
     ///
     /// Every pixel receives a depth above zero as soon as one return exists, and its

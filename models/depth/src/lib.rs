@@ -3,6 +3,7 @@
 //! - [`Completer`] turns a sparse map into a dense one, either by the exact nearest return or by
 //!   planes in inverse depth fitted to the returns of touching nearest-return cells, with an
 //!   edge-keeping blur over their seams. It allocates once, when it is made.
+//! - [`Surround`] finds the least and the largest value around every pixel.
 //! - [`metrics()`], [`edge_band`], [`masked_mae`] and [`temporal_change`] say how far a map is from
 //!   the truth; [`ScoreTable`] averages over images, the same however the images were shared out.
 //! - [`ContactSheet`] and its neighbours draw; [`read_depth_png16`] and [`write_depth_png16`] keep
@@ -25,6 +26,7 @@ mod nearest;
 mod picture;
 mod score;
 mod size;
+mod surround;
 mod temporal;
 
 pub use band::{EDGE_BAND_PX, EDGE_RATIO, EDGE_STEP_M, MaskedMae, edge_band, masked_mae};
@@ -38,4 +40,5 @@ pub use picture::{
 };
 pub use score::{Score, ScoreTable, ScoredTwice};
 pub use size::{SIDE_MAX, Size, SizeError};
+pub use surround::Surround;
 pub use temporal::{Flow, Step, TemporalChange, temporal_change};

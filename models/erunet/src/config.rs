@@ -38,6 +38,10 @@ pub enum Form {
     /// Depth completed by the nearest return, mask and confidence in; a factor on the nearest
     /// return's depth out.
     Residual,
+    /// As [`Residual`](Self::Residual), and the network also sees how much nearer and how much
+    /// farther the returns around a pixel reach; it moves from the nearest return's depth towards
+    /// either before the factor applies.
+    Choice,
 }
 
 impl Form {
@@ -46,6 +50,15 @@ impl Form {
         match self {
             Self::Direct => 2,
             Self::Residual => 3,
+            Self::Choice => 5,
+        }
+    }
+
+    /// Channels of the last convolution.
+    pub fn head_channels(self) -> usize {
+        match self {
+            Self::Direct | Self::Residual => 1,
+            Self::Choice => 2,
         }
     }
 
@@ -209,7 +222,7 @@ impl Config {
             n_b: 1,
             n_u: [0, 1, 1, 1],
             filters: 4,
-            form: Form::Residual,
+            form: Form::Choice,
             ..Self::tiny()
         }
         .with_steps(8)
@@ -235,7 +248,7 @@ impl Config {
             n_b: 1,
             n_u: [0, 0, 1, 1],
             filters: 2,
-            form: Form::Residual,
+            form: Form::Choice,
             ..Self::tiny()
         }
         .with_steps(8)

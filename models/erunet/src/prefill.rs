@@ -1,11 +1,14 @@
-//! What the residual form starts from: the nearest return of every pixel, and how far to trust it.
+//! What the residual forms start from: the nearest return of every pixel, how far to trust it, and
+//! how much nearer and farther the returns around the pixel reach.
 //!
 //! The network then says by which factor the nearest return's depth is wrong, so that with nothing
 //! learned it equals nearest-neighbour completion.
 
 use candle_core::{Device, Result, Tensor};
-use noctule_depth::Completer;
+use noctule_depth::{Completer, SizeError, Surround};
 use rayon::prelude::*;
+
+use crate::config::Form;
 
 /// Depth assumed everywhere where an exposure has not a single return, as a share of the range.
 pub const FALLBACK_SHARE: f32 = 0.125;
@@ -14,20 +17,51 @@ pub const FALLBACK_SHARE: f32 = 0.125;
 /// depth = nearest * exp(LOG_SPAN * tanh(z / LOG_SPAN)), up to 20 times nearer or farther.
 pub const LOG_SPAN: f32 = 3.0;
 
+/// How far around a pixel returns count as its surroundings, pixels in both directions.
+pub const SURROUND_PX: usize = 12;
+
+/// The plane that says how much nearer the nearest of the surrounding returns is than the return
+/// closest to the pixel, natural logarithm of the ratio.
+pub(crate) const DROP: usize = 3;
+/// The plane that says how much farther the farthest of them is.
+pub(crate) const RISE: usize = 4;
+
 /// Completes maps of one size; allocates once.
 pub(crate) struct Prefill {
     completer: Completer,
     range_m: f32,
+    /// Present in the form that chooses.
+    around: Option<Around>,
+}
+
+struct Around {
+    surround: Surround,
+    /// Logarithm of each return's depth; no number where there is none.
+    logarithm: Vec<f32>,
 }
 
 impl Prefill {
-    pub(crate) fn new(height: usize, width: usize, range_m: f32) -> Result<Self> {
+    pub(crate) fn new(form: Form, height: usize, width: usize, range_m: f32) -> Result<Self> {
         let completer = Completer::new(width, height).map_err(candle_core::Error::wrap)?;
-        Ok(Self { completer, range_m })
+        let around = (form == Form::Choice)
+            .then(|| {
+                Surround::new(width, height, SURROUND_PX).map(|surround| Around {
+                    surround,
+                    logarithm: vec![0.0; height * width],
+                })
+            })
+            .transpose()
+            .map_err(candle_core::Error::wrap)?;
+        Ok(Self {
+            completer,
+            range_m,
+            around,
+        })
     }
 
     /// From `sparse` `[H, W]` in metres, 0 for no return: `nearest` `[H, W]` in metres, and `seen`
-    /// `[3, H, W]`: the nearest over the range, 1 at a return, `exp(-distance / 8 px)`.
+    /// `[3 or 5, H, W]`: the nearest over the range, 1 at a return, `exp(-distance / 8 px)`, and
+    /// in the form that chooses [`DROP`] and [`RISE`].
     pub(crate) fn fill(
         &mut self,
         sparse: &[f32],
@@ -35,11 +69,13 @@ impl Prefill {
         seen: &mut [f32],
     ) -> Result<()> {
         let area = nearest.len();
-        if seen.len() != 3 * area {
-            candle_core::bail!("{} values for three planes of {area}", seen.len());
+        let planes = if self.around.is_some() { 5 } else { 3 };
+        if seen.len() != planes * area {
+            candle_core::bail!("{} values for {planes} planes of {area}", seen.len());
         }
         let (share, rest) = seen.split_at_mut(area);
-        let (returned, trust) = rest.split_at_mut(area);
+        let (returned, rest) = rest.split_at_mut(area);
+        let (trust, limits) = rest.split_at_mut(area);
         let any = self
             .completer
             .nearest_with_confidence(sparse, nearest, trust)
@@ -51,6 +87,13 @@ impl Prefill {
             // Confidence is exactly one at a return and nowhere else.
             *mask = f32::from(u8::from(*trust == 1.0));
         }
+        match &mut self.around {
+            Some(around) if any => {
+                let found = around.reach(&self.completer, sparse, share, limits);
+                found.map_err(candle_core::Error::wrap)?;
+            }
+            _ => limits.fill(0.0),
+        }
         for (share, nearest) in share.iter_mut().zip(&*nearest) {
             *share = nearest / self.range_m;
         }
@@ -58,25 +101,56 @@ impl Prefill {
     }
 }
 
-/// What the depth encoder sees of a batch, `[N, 3, H, W]`, and the nearest returns `[N, 1, H, W]`
-/// in metres, on `device`, from `sparse` `[N, 1, H, W]` on any. Computed on the processor; no
-/// gradient passes.
-pub(crate) fn prefill(sparse: &Tensor, range_m: f32, device: &Device) -> Result<(Tensor, Tensor)> {
+impl Around {
+    /// [`DROP`] and [`RISE`] into `limits`; `aside` is overwritten.
+    fn reach(
+        &mut self,
+        completer: &Completer,
+        sparse: &[f32],
+        aside: &mut [f32],
+        limits: &mut [f32],
+    ) -> std::result::Result<(), SizeError> {
+        for (logarithm, &depth) in self.logarithm.iter_mut().zip(sparse) {
+            let is_return = depth > 0.0 && depth.is_finite();
+            *logarithm = if is_return { depth.ln() } else { f32::NAN };
+        }
+        let (drop, rise) = limits.split_at_mut(sparse.len());
+        self.surround.extremes(&self.logarithm, drop, rise)?;
+        completer.spread(&self.logarithm, aside)?;
+        // Windows without a return hold infinities of the sign that becomes 0.
+        for ((drop, rise), own) in drop.iter_mut().zip(rise).zip(&*aside) {
+            *drop = (own - *drop).max(0.0);
+            *rise = (*rise - own).max(0.0);
+        }
+        Ok(())
+    }
+}
+
+/// What the depth encoder sees of a batch, `[N, 3 or 5, H, W]`, and the nearest returns
+/// `[N, 1, H, W]` in metres, on `device`, from `sparse` `[N, 1, H, W]` on any. Computed on the
+/// processor; no gradient passes.
+pub(crate) fn prefill(
+    sparse: &Tensor,
+    form: Form,
+    range_m: f32,
+    device: &Device,
+) -> Result<(Tensor, Tensor)> {
     let (n, _, h, w) = sparse.dims4()?;
-    let area = h * w;
+    let (area, planes) = (h * w, form.depth_channels());
     let values: Vec<f32> = sparse.flatten_all()?.to_vec1()?;
     let mut nearest = vec![0.0; n * area];
-    let mut seen = vec![0.0; 3 * n * area];
+    let mut seen = vec![0.0; planes * n * area];
     let maps = values.par_chunks(area).zip(nearest.par_chunks_mut(area));
-    maps.zip(seen.par_chunks_mut(3 * area)).try_for_each_init(
-        || Prefill::new(h, w, range_m),
-        |prefill, ((sparse, nearest), seen)| match prefill {
-            Ok(prefill) => prefill.fill(sparse, nearest, seen),
-            Err(error) => candle_core::bail!("{error}"),
-        },
-    )?;
+    maps.zip(seen.par_chunks_mut(planes * area))
+        .try_for_each_init(
+            || Prefill::new(form, h, w, range_m),
+            |prefill, ((sparse, nearest), seen)| match prefill {
+                Ok(prefill) => prefill.fill(sparse, nearest, seen),
+                Err(error) => candle_core::bail!("{error}"),
+            },
+        )?;
     Ok((
-        Tensor::from_vec(seen, (n, 3, h, w), device)?,
+        Tensor::from_vec(seen, (n, planes, h, w), device)?,
         Tensor::from_vec(nearest, (n, 1, h, w), device)?,
     ))
 }
@@ -90,7 +164,7 @@ mod tests {
         let mut sparse = vec![0.0_f32; 12];
         (sparse[0], sparse[11]) = (10.0, 40.0);
         let sparse = Tensor::from_vec(sparse, (1, 1, 3, 4), &Device::Cpu).unwrap();
-        let (seen, nearest) = prefill(&sparse, 80.0, &Device::Cpu).unwrap();
+        let (seen, nearest) = prefill(&sparse, Form::Residual, 80.0, &Device::Cpu).unwrap();
         let nearest: Vec<f32> = nearest.flatten_all().unwrap().to_vec1().unwrap();
         assert_eq!(
             nearest,
@@ -107,11 +181,53 @@ mod tests {
     #[test]
     fn without_a_return_a_middling_depth_with_no_trust_stands_in() {
         let sparse = Tensor::zeros((2, 1, 2, 2), candle_core::DType::F32, &Device::Cpu).unwrap();
-        let (seen, nearest) = prefill(&sparse, 80.0, &Device::Cpu).unwrap();
+        let (seen, nearest) = prefill(&sparse, Form::Residual, 80.0, &Device::Cpu).unwrap();
         let nearest: Vec<f32> = nearest.flatten_all().unwrap().to_vec1().unwrap();
         assert_eq!(nearest, [10.0; 8]);
         let seen: Vec<f32> = seen.flatten_all().unwrap().to_vec1().unwrap();
         let of_one = [0.125, 0.125, 0.125, 0.125, 0., 0., 0., 0., 0., 0., 0., 0.];
         assert_eq!(seen, [of_one, of_one].concat());
+    }
+
+    #[test]
+    fn the_surroundings_say_how_much_nearer_and_farther_returns_reach() {
+        let (width, height) = (40, 16);
+        let mut sparse = vec![0.0_f32; width * height];
+        (sparse[0], sparse[10], sparse[36]) = (10.0, 40.0, 5.0);
+        let sparse = Tensor::from_vec(sparse, (1, 1, height, width), &Device::Cpu).unwrap();
+        let (seen, _) = prefill(&sparse, Form::Choice, 80.0, &Device::Cpu).unwrap();
+        let seen: Vec<f32> = seen.flatten_all().unwrap().to_vec1().unwrap();
+        let at = |plane: usize, x: usize, y: usize| seen[(plane * height + y) * width + x];
+        let four = 4.0_f32.ln();
+        assert_eq!(
+            (at(DROP, 2, 0), at(RISE, 2, 0)),
+            (0.0, four),
+            "the far one reaches in"
+        );
+        assert_eq!(
+            (at(DROP, 8, 12), at(RISE, 8, 12)),
+            (four, 0.0),
+            "the near one does"
+        );
+        assert_eq!(
+            (at(DROP, 2, 13), at(RISE, 2, 13)),
+            (0.0, 0.0),
+            "13 rows below both"
+        );
+        let eight = 8.0_f32.ln();
+        assert_eq!(
+            (at(DROP, 22, 0), at(RISE, 22, 0)),
+            (0.0, 0.0),
+            "5 is 14 away: {eight}"
+        );
+        assert_eq!(
+            (at(DROP, 24, 0), at(RISE, 24, 0)),
+            (0.0, 0.0),
+            "40 is 14 away"
+        );
+        let none = Tensor::zeros((1, 1, 16, 16), candle_core::DType::F32, &Device::Cpu).unwrap();
+        let (seen, _) = prefill(&none, Form::Choice, 80.0, &Device::Cpu).unwrap();
+        let seen: Vec<f32> = seen.flatten_all().unwrap().to_vec1().unwrap();
+        assert!(seen[DROP * 256..].iter().all(|&limit| limit == 0.0));
     }
 }

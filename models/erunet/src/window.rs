@@ -6,10 +6,11 @@ use crate::network::{Network, NetworkError, Outputs, check_shape};
 use crate::pass::Pass;
 
 impl Network {
-    /// As [`Network::restore`], for steps `first..first + n` alone: `voxel` `[B, n, bins, H, W]`.
+    /// As [`Network::restore`], for steps `first..first + n` alone, of `voxel`
+    /// `[B, first + n, bins, H, W]`.
     ///
-    /// Every step has its true place in the exposure; the first of them sees no restored feature
-    /// before it, as the first of an exposure.
+    /// The steps before the first are run through, so that it sees the feature restored before it
+    /// as it will in a whole exposure, but no gradient reaches them.
     pub fn restore_window(
         &self,
         blur: &Tensor,
@@ -20,19 +21,26 @@ impl Network {
         let (b, h, w) = self.check_blur(blur)?;
         let steps = voxel.dims().get(1).copied().unwrap_or(0);
         let config = self.config();
-        if steps == 0 || first + steps > config.steps {
+        if steps <= first || steps > config.steps {
             return Err(NetworkError::Shape {
                 input: "voxel",
                 actual: voxel.dims().to_vec(),
-                wanted: format!("1 to {} steps from step {first}", config.steps - first),
+                wanted: format!("{} to {} steps", first + 1, config.steps),
             });
         }
         check_shape("voxel", voxel, &[b, steps, config.bins, h, w])?;
         let still = self.appearance(blur, pass)?;
-        let mut clear: Vec<Tensor> = Vec::with_capacity(steps);
+        let mut clear: Vec<Tensor> = Vec::with_capacity(steps - first);
+        let mut before = None;
         for t in 0..steps {
             let voxel = voxel.narrow(1, t, 1)?.squeeze(1)?;
-            clear.push(self.restore_step(&still, clear.last(), &voxel, first + t, pass)?);
+            let previous = clear.last().or(before.as_ref());
+            let restored = self.restore_step(&still, previous, &voxel, t, pass)?;
+            if t < first {
+                before = Some(restored.detach());
+            } else {
+                clear.push(restored);
+            }
         }
         Ok(clear)
     }

@@ -2,7 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a failure here is a failed test")]
 
 use candle_core::{Device, Tensor};
-use noctule_erunet::{Config, Network, Norms, Plan, PlanError, PlanOptions, Variant, Weights};
+use noctule_erunet::{
+    Config, Form, Network, Norms, Plan, PlanError, PlanOptions, Variant, Weights,
+};
 use noctule_kernels::{Isa, Precision};
 
 /// One exposure's inputs, planes as the plan takes them.
@@ -39,7 +41,13 @@ fn exposure(config: &Config, height: usize, width: usize) -> Exposure {
         let noise = noise(area, 200 + t);
         noise
             .iter()
-            .map(|v| if *v < 0.95 { 0.0 } else { 1500.0 * (v - 0.95) })
+            .map(|v| {
+                if *v < 0.95 {
+                    0.0
+                } else {
+                    5.0 + 1200.0 * (v - 0.95)
+                }
+            })
             .collect()
     };
     let steps = config.steps as u64;
@@ -183,6 +191,7 @@ fn small_members_equal_candle_over_eight_steps() {
     agrees(&Config::xs(), 256, 256, PlanOptions::default());
     agrees(&Config::s(), 256, 256, two);
     agrees(&Config::s(), 96, 160, PlanOptions::default());
+    agrees(&Config::xs().with_form(Form::Residual), 96, 160, two);
 }
 
 #[test]

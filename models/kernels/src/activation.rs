@@ -74,17 +74,26 @@ pub(crate) unsafe fn sigmoid<S: Simd>(x: S::V) -> S::V {
     }
 }
 
-/// `exp(span * tanh(z / span))`, within 1e-5 of the value relatively for spans up to 4.
+/// `span * tanh(z / span)`.
 ///
 /// # Safety
 /// As in [`Simd`].
 #[inline(always)]
-pub(crate) unsafe fn bounded_factor<S: Simd>(z: S::V, span: f32) -> S::V {
+pub(crate) unsafe fn bounded<S: Simd>(z: S::V, span: f32) -> S::V {
+    // SAFETY: arithmetic on registers; the caller vouches for the instructions.
+    unsafe { S::mul(tanh::<S>(S::mul(z, S::splat(1.0 / span))), S::splat(span)) }
+}
+
+/// `e^x`, within 1e-5 of the value relatively for x between -11 and 11.
+///
+/// # Safety
+/// As in [`Simd`].
+#[inline(always)]
+pub(crate) unsafe fn power<S: Simd>(x: S::V) -> S::V {
     // SAFETY: arithmetic on registers; the caller vouches for the instructions.
     unsafe {
-        let logarithm = S::mul(tanh::<S>(S::mul(z, S::splat(1.0 / span))), S::splat(span));
         // e^x = (1 + t) / (1 - t) with t the tangent of half of x; in quarters, t stays small.
-        let t = tanh::<S>(S::mul(logarithm, S::splat(0.125)));
+        let t = tanh::<S>(S::mul(x, S::splat(0.125)));
         let one = S::splat(1.0);
         let root = S::div(S::add(one, t), S::mul_add(t, S::splat(-1.0), one));
         let square = S::mul(root, root);

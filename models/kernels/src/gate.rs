@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use crate::activation::{bounded_factor, sigmoid};
+use crate::activation::{bounded, power, sigmoid};
 use crate::conv::{InBlock, LINE, TILE_SUMS, consecutive, in_blocks};
 use crate::element::Element;
 use crate::layout::{Frame, Place};
@@ -30,6 +30,8 @@ pub(crate) struct GateOp<E: Element> {
     plane: Option<usize>,
     /// The caller's slice, and what it receives.
     output: Option<(usize, Emit)>,
+    /// The plane that says where between its limits a factor's base lies.
+    pick: Option<usize>,
     /// `(from, to)`: `to = c * from`, channel by channel.
     kept: Option<(Place, Place)>,
     format: std::marker::PhantomData<E>,
@@ -39,6 +41,7 @@ pub(crate) struct GateOp<E: Element> {
 pub(crate) struct GateTargets {
     pub(crate) plane: Option<usize>,
     pub(crate) output: Option<(usize, Emit)>,
+    pub(crate) pick: Option<usize>,
     pub(crate) kept: Option<(Place, Place)>,
 }
 
@@ -76,6 +79,7 @@ impl<E: Element> GateOp<E> {
             height: size.height,
             plane: targets.plane,
             output: targets.output,
+            pick: targets.pick,
             kept: targets.kept,
             format: std::marker::PhantomData,
         }
@@ -177,6 +181,50 @@ impl<E: Element> GateOp<E> {
         }
     }
 
+    /// Writes row `y` of the caller's slice from the sums in `row`, whose padding is zero.
+    ///
+    /// # Safety
+    /// As for `run`; the emission is a factor.
+    #[inline(always)]
+    unsafe fn emit_factor<S: Simd>(&self, frame: &Frame, row: *mut f32, slot: usize, y: usize) {
+        let width = self.width;
+        let Some((
+            _,
+            Emit::Factor {
+                base,
+                span,
+                between,
+            },
+        )) = self.output
+        else {
+            return;
+        };
+        // SAFETY: the caller's slices and the plane hold all rows; `row` is padded to vectors.
+        unsafe {
+            for x in (0..width).step_by(LANES) {
+                S::store(row.add(x), bounded::<S>(S::load(row.add(x)), span));
+            }
+            if let (Some(between), Some(pick)) = (between, self.pick) {
+                let pick = frame.arena.cast::<f32>().add(pick + y * width);
+                let drop = frame.inputs[between.drop.0].add(y * width);
+                let rise = frame.inputs[between.rise.0].add(y * width);
+                for x in 0..width {
+                    let t = 2.0 * *pick.add(x) - 1.0;
+                    let limit = if t > 0.0 { *rise.add(x) } else { *drop.add(x) };
+                    *row.add(x) += t * limit;
+                }
+            }
+            for x in (0..width).step_by(LANES) {
+                S::store(row.add(x), power::<S>(S::load(row.add(x))));
+            }
+            let base = frame.inputs[base.0].add(y * width);
+            let to = frame.outputs[slot].add(y * width);
+            for x in 0..width {
+                to.add(x).write(*row.add(x) * *base.add(x));
+            }
+        }
+    }
+
     /// The sum of one pixel.
     ///
     /// # Safety
@@ -235,16 +283,8 @@ impl<E: Element> Kernel for GateRows<'_, E> {
                 for x in width..width.next_multiple_of(LANES) {
                     row.add(x).write(0.0);
                 }
-                if let Some((slot, Emit::Factor { base, span })) = op.output {
-                    let base = frame.inputs[base.0].add(y * width);
-                    let to = frame.outputs[slot].add(y * width);
-                    for x in (0..width).step_by(LANES) {
-                        let factor = bounded_factor::<S>(S::load(row.add(x)), span);
-                        S::store(row.add(x), factor);
-                    }
-                    for x in 0..width {
-                        to.add(x).write(*row.add(x) * *base.add(x));
-                    }
+                if let Some((slot, Emit::Factor { .. })) = op.output {
+                    op.emit_factor::<S>(frame, row, slot, y);
                     continue;
                 }
                 for x in (0..width).step_by(LANES) {

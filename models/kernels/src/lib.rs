@@ -65,6 +65,6 @@ pub use layout::Size;
 pub use peak::{spin, stream};
 pub use planar::Intake;
 pub use program::{
-    BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, OpProfile, Options, Output,
-    Passes, Plane, Precision, Program, RunError, THREADS_MAX,
+    Between, BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, OpProfile, Options,
+    Output, Passes, Plane, Precision, Program, RunError, THREADS_MAX,
 };

@@ -3,7 +3,9 @@
 
 mod oracle;
 
-use noctule_kernels::{Activation, Builder, Emit, Garf, Gate, Intake, Options, Size, reference};
+use noctule_kernels::{
+    Activation, Between, Builder, Emit, Garf, Gate, Intake, Options, Size, reference,
+};
 use oracle::{assert_close, every_way, noise, size, wide};
 
 #[test]
@@ -87,21 +89,46 @@ fn gate(options: Options, inputs: [usize; 2], kernel: usize, size: Size) {
 fn a_factor_scales_its_base_within_its_span() {
     for options in every_way() {
         for shape in [size(4, 9), size(3, 33), size(1, 1)] {
-            factor(options, shape);
+            factor(options, shape, false);
+            factor(options, shape, true);
         }
     }
 }
 
-fn factor(options: Options, size: Size) {
+fn factor(options: Options, size: Size, moves: bool) {
     let area = size.area();
     let x: Vec<f32> = noise(5 * area, 8).iter().map(|v| 4.0 * v).collect();
     let weight = noise(5 * 9, 9);
     let base: Vec<f32> = noise(area, 10).iter().map(|v| 20.0 + 10.0 * v).collect();
     let mut builder = Builder::new();
     let (input, nearest) = (builder.input(5 * area), builder.input(area));
+    let [drop, rise] = [11, 12].map(|seed| {
+        noise(area, seed)
+            .iter()
+            .map(|v| 3.0 * v.abs())
+            .collect::<Vec<f32>>()
+    });
+    let (lower, upper) = (builder.input(area), builder.input(area));
+    let between = moves.then(|| Between {
+        pick: builder.plane(size),
+        drop: lower,
+        rise: upper,
+    });
     let feature = builder.feature(5, size);
     let output = builder.output(area);
     builder.take(input, Intake::Planes, feature);
+    if let Some(between) = between {
+        let weight: Vec<f32> = weight.iter().rev().copied().collect();
+        builder.gate(&Gate {
+            inputs: &[feature],
+            weight: &weight,
+            bias: 0.1,
+            kernel: 3,
+            plane: Some(between.pick),
+            output: None,
+            kept: None,
+        });
+    }
     builder.gate(&Gate {
         inputs: &[feature],
         weight: &weight,
@@ -113,6 +140,7 @@ fn factor(options: Options, size: Size) {
             Emit::Factor {
                 base: nearest,
                 span: 3.0,
+                between,
             },
         )),
         kept: None,
@@ -120,12 +148,26 @@ fn factor(options: Options, size: Size) {
     let mut got = vec![f32::NAN; area];
     let mut program = builder.finish(options).unwrap();
     program.poison();
-    program.run(0, 0, &[&x, &base], &mut [&mut got]).unwrap();
+    let limits: [&[f32]; 2] = if moves { [&drop, &rise] } else { [&[]; 2] };
+    let slices = [&x[..], &base, limits[0], limits[1]];
+    program.run(0, 0, &slices, &mut [&mut got]).unwrap();
     let sums = reference::conv2d(&wide(&x), size, &wide(&weight), &[-0.2], 3, 1);
+    let turned: Vec<f32> = weight.iter().rev().copied().collect();
+    let picks = match moves {
+        true => reference::conv2d(&wide(&x), size, &wide(&turned), &[0.1], 3, 1),
+        false => Vec::new(),
+    };
     let wanted: Vec<f64> = sums
         .iter()
-        .zip(&base)
-        .map(|(z, base)| f64::from(*base) * (3.0 * (z / 3.0).tanh()).exp())
+        .enumerate()
+        .map(|(i, z)| {
+            let moved = match picks.get(i).map(|pick| (pick / 2.0).tanh()) {
+                None => 0.0,
+                Some(t) if t > 0.0 => t * f64::from(rise[i]),
+                Some(t) => t * f64::from(drop[i]),
+            };
+            f64::from(base[i]) * (3.0 * (z / 3.0).tanh() + moved).exp()
+        })
         .collect();
     assert_close(&got, &wanted, options, 1.0, "factor");
 }

@@ -51,6 +51,7 @@ fn inputs(fixture: &Fixture) -> Inputs {
         sparse: input("sparse"),
         depth: input("gt_depth"),
         edges: None,
+        movers: None,
         pictures: Some(Pictures {
             sharp: input("gt_rgb"),
             event_grey: input("ev_gray"),
@@ -75,7 +76,14 @@ fn every_term_has_the_references_value() {
         )
         .unwrap();
         let dense = &fixture.outputs["D_dense"];
-        let depth = depth_loss(dense, &inputs.depth, &inputs.sparse, None, &weights()).unwrap();
+        let depth = depth_loss(
+            dense,
+            &inputs.depth,
+            &inputs.sparse,
+            [None, None],
+            &weights(),
+        )
+        .unwrap();
         for (key, ours) in [
             ("stage1", &picture.total),
             ("char", &picture.charbonnier),
@@ -181,4 +189,37 @@ fn blurring_again_in_light_differs_from_averaging_codes() {
         reblur(Domain::Linear) > 1e-3,
         "light averages to something brighter"
     );
+}
+
+/// Two pixels of four are known; errors of 1 m and 3 m, the latter on an edge and a mover.
+#[test]
+fn extra_weights_add_what_they_say() {
+    let map =
+        |values: [f32; 4]| Tensor::from_slice(&values, (1, 1, 1, 2, 2), &Device::Cpu).unwrap();
+    let (depth, truth) = (map([3.0, 5.0, 1.0, 1.0]), map([2.0, 8.0, 0.0, 0.0]));
+    let nothing = map([0.0; 4]);
+    let mask = map([0.0, 1.0, 1.0, 0.0]);
+    let total = |weights: &Loss| -> f64 {
+        let masks = [Some(&mask), Some(&mask)];
+        let loss = depth_loss(&depth, &truth, &nothing, masks, weights).unwrap();
+        f64::from(loss.total.to_scalar::<f32>().unwrap())
+    };
+    let plain = Loss::default();
+    assert!((total(&plain) - 2.0).abs() < 1e-6, "the mean of 1 and 3");
+    let edges = Loss {
+        depth_edges: 0.5,
+        ..plain
+    };
+    assert!((total(&edges) - (2.0 + 0.5 * 3.0)).abs() < 1e-6);
+    let movers = Loss {
+        depth_movers: 4.0,
+        ..plain
+    };
+    assert!((total(&movers) - (2.0 + 4.0 * 3.0 / 2.0)).abs() < 1e-6);
+    let logarithms = Loss {
+        log_depth: 10.0,
+        ..plain
+    };
+    let mean = (1.5f64.ln() + 1.6f64.ln()) / 2.0;
+    assert!((total(&logarithms) - (2.0 + 10.0 * mean)).abs() < 1e-5);
 }

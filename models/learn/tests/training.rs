@@ -301,7 +301,7 @@ fn one_exposure_is_learnt_by_heart() {
         &nearest,
         &inputs.depth,
         &inputs.sparse,
-        None,
+        [None, None],
         &Loss::default(),
     );
     let nearest = f64::from(loss.unwrap().total.to_scalar::<f32>().unwrap());

@@ -13,7 +13,7 @@ use noctule_kernels::{BuildError, Builder, Isa, Options, Passes, Precision, Prog
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError, Form, SIDE_MULTIPLE};
-use crate::prefill::Prefill;
+use crate::prefill::{self, Prefill};
 use crate::weights::{Weights, WeightsError};
 use draft::Draft;
 
@@ -33,6 +33,10 @@ const BLUR: usize = 0;
 const VOXEL: usize = 1;
 const SPARSE: usize = 2;
 const NEAREST: usize = 3;
+const DROP: usize = 4;
+const RISE: usize = 5;
+/// Slices a step or a beginning may read.
+const SLICES: usize = 6;
 
 /// Why a plan could not be made or run.
 #[derive(Debug, Error)]
@@ -54,8 +58,8 @@ pub enum PlanError {
     /// The kernels cannot be built: too many threads, or instructions the processor lacks.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// A slice has the wrong length. Inputs count as blur, voxel, sparse, nearest; outputs as depth,
-    /// confidence.
+    /// A slice has the wrong length. Inputs count as blur, voxel, sparse, nearest, drop, rise; outputs
+    /// as depth, confidence.
     #[error(transparent)]
     Run(#[from] RunError),
     /// A step was asked for before any picture was handed in.
@@ -115,7 +119,7 @@ pub struct Plan {
     filled: Option<Filled>,
 }
 
-/// What the residual form adds to a step's inputs.
+/// What the residual forms add to a step's inputs.
 struct Filled {
     prefill: Prefill,
     nearest: Vec<f32>,
@@ -129,9 +133,9 @@ impl Filled {
     )]
     fn new(config: &Config, height: usize, width: usize) -> candle_core::Result<Self> {
         Ok(Self {
-            prefill: Prefill::new(height, width, config.d_max as f32)?,
+            prefill: Prefill::new(config.form, height, width, config.d_max as f32)?,
             nearest: vec![0.0; height * width],
-            seen: vec![0.0; 3 * height * width],
+            seen: vec![0.0; config.form.depth_channels() * height * width],
         })
     }
 }
@@ -172,7 +176,7 @@ impl Plan {
             steps: config.steps,
             done: None,
             place,
-            filled: (config.form == Form::Residual)
+            filled: (config.form != Form::Direct)
                 .then(|| Filled::new(config, height, width))
                 .transpose()?,
         };
@@ -181,15 +185,18 @@ impl Plan {
     }
 
     fn set_up(&mut self) -> Result<(), PlanError> {
-        Ok(self
-            .program
-            .run(SETUP, 0, &[&[], &[], &[], &[], &self.place], &mut [])?)
+        Ok(self.program.run(
+            SETUP,
+            0,
+            &[&[], &[], &[], &[], &[], &[], &self.place],
+            &mut [],
+        )?)
     }
 
     /// Starts an exposure: `blur` `[3, H, W]`, encoded values over 255; for a network without
     /// restoration, the deblurred picture. Drops the exposure before it, finished or not.
     pub fn begin(&mut self, blur: &[f32]) -> Result<(), PlanError> {
-        let mut slices: [&[f32]; 4] = [&[]; 4];
+        let mut slices: [&[f32]; SLICES] = [&[]; SLICES];
         slices[BLUR] = blur;
         self.program.run(BEGIN, 0, &slices, &mut [])?;
         self.done = Some(0);
@@ -213,7 +220,7 @@ impl Plan {
         }
         let pass = if done == 0 { FIRST } else { LATER };
         let variant = if self.place.is_empty() { 0 } else { done };
-        let mut slices: [&[f32]; 4] = [&[]; 4];
+        let mut slices: [&[f32]; SLICES] = [&[]; SLICES];
         slices[VOXEL] = voxel;
         slices[SPARSE] = sparse;
         if let Some(filled) = &mut self.filled {
@@ -224,6 +231,7 @@ impl Plan {
             } = filled;
             prefill.fill(sparse, nearest, seen)?;
             (slices[SPARSE], slices[NEAREST]) = (&*seen, &*nearest);
+            (slices[DROP], slices[RISE]) = limits(seen, self.area);
         }
         self.program
             .run(pass, variant, &slices, &mut [depth, confidence])?;
@@ -250,6 +258,12 @@ impl Plan {
     }
 }
 
+/// The planes among those seen that limit a choice; empty where none is made.
+fn limits(seen: &[f32], area: usize) -> (&[f32], &[f32]) {
+    let plane = |index: usize| seen.get(index * area..(index + 1) * area).unwrap_or(&[]);
+    (plane(prefill::DROP), plane(prefill::RISE))
+}
+
 /// The passes of a step, whichever it is.
 fn any_step() -> Passes {
     Passes::of(&[FIRST, LATER])
@@ -263,9 +277,11 @@ fn builder_with_slices(config: &Config, area: usize) -> (Builder, Slices) {
         voxel: builder.input(config.bins * area),
         sparse: builder.input(match config.form {
             Form::Direct => area,
-            Form::Residual => 3 * area,
+            form => form.depth_channels() * area,
         }),
         nearest: builder.input(area),
+        drop: builder.input(area),
+        rise: builder.input(area),
         depth: builder.output(area),
         confidence: builder.output(area),
     };
@@ -277,9 +293,11 @@ fn builder_with_slices(config: &Config, area: usize) -> (Builder, Slices) {
 struct Slices {
     blur: noctule_kernels::Input,
     voxel: noctule_kernels::Input,
-    /// As the depth encoder sees it: metres, or the three planes of the residual form.
+    /// As the depth encoder sees it: metres, or the planes of a residual form.
     sparse: noctule_kernels::Input,
     nearest: noctule_kernels::Input,
+    drop: noctule_kernels::Input,
+    rise: noctule_kernels::Input,
     depth: noctule_kernels::Output,
     confidence: noctule_kernels::Output,
 }

@@ -2,7 +2,9 @@
 
 use noctule_kernels::OpProfile;
 
-use super::{BEGIN, BLUR, FIRST, LATER, NEAREST, Plan, PlanError, SPARSE, VOXEL};
+use super::{
+    BEGIN, BLUR, DROP, FIRST, LATER, NEAREST, Plan, PlanError, RISE, SLICES, SPARSE, VOXEL, limits,
+};
 
 /// One layer of the network: what it costs, and how often an exposure asks for it.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,13 +28,15 @@ impl Plan {
             .map(|i| if i % 31 == 0 { 20.0 } else { 0.0 })
             .collect();
         let (mut depth, mut trust) = (vec![0.0; self.area], vec![0.0; self.area]);
-        let (seen, nearest) = (vec![0.25; 3 * self.area], vec![20.0; self.area]);
-        let mut slices: [&[f32]; 4] = [&[]; 4];
+        let planes = self.filled.as_ref().map_or(0, |filled| filled.seen.len());
+        let (seen, nearest) = (vec![0.25; planes], vec![20.0; self.area]);
+        let mut slices: [&[f32]; SLICES] = [&[]; SLICES];
         slices[BLUR] = &blur;
         slices[VOXEL] = &voxel;
         slices[SPARSE] = &sparse;
         if self.filled.is_some() {
             (slices[SPARSE], slices[NEAREST]) = (&seen, &nearest);
+            (slices[DROP], slices[RISE]) = limits(&seen, self.area);
         }
         let mut layers = Vec::new();
         for _ in 0..repeats.max(1) {

@@ -1,7 +1,7 @@
 //! The completion network as a plan (paper, equations 5 to 7).
 
 use candle_core::Result;
-use noctule_kernels::{Activation, Emit, Garf, Gate, Intake};
+use noctule_kernels::{Activation, Between, Emit, Garf, Gate, Intake};
 
 use super::any_step;
 use super::draft::{Draft, Map, Then};
@@ -32,9 +32,19 @@ impl Draft<'_> {
         let from = self.slices.sparse;
         let (intake, emit) = match self.config.form {
             Form::Direct => (Intake::SparseDepth { range_m }, Emit::Scaled(range_m)),
-            Form::Residual => {
+            form => {
                 let (base, span) = (self.slices.nearest, LOG_SPAN);
-                (Intake::Planes, Emit::Factor { base, span })
+                let between = (form == Form::Choice).then(|| Between {
+                    pick: self.builder.plane(self.size),
+                    drop: self.slices.drop,
+                    rise: self.slices.rise,
+                });
+                let emit = Emit::Factor {
+                    base,
+                    span,
+                    between,
+                };
+                (Intake::Planes, emit)
             }
         };
         self.builder.set_label("sparse");
@@ -52,15 +62,31 @@ impl Draft<'_> {
         let x = self.named("rdu.head1", &[x], Then::new(Activation::Relu))?;
         let head = self.layer("rdu.head2")?;
         self.builder.set_label("rdu.head2");
-        self.builder.gate(&Gate {
+        let channel = head.weight.len() / self.config.form.head_channels();
+        let gate = Gate {
             inputs: &[x.feature],
-            weight: &head.weight,
+            weight: &head.weight[..channel],
             bias: head.bias[0],
             kernel: head.kernel,
             plane: None,
             output: Some((self.slices.depth, emit)),
             kept: None,
-        });
+        };
+        if let Emit::Factor {
+            between: Some(between),
+            ..
+        } = emit
+        {
+            let pick = Gate {
+                weight: &head.weight[channel..],
+                bias: head.bias[1],
+                plane: Some(between.pick),
+                output: None,
+                ..gate.clone()
+            };
+            self.builder.gate(&pick);
+        }
+        self.builder.gate(&gate);
         Ok(())
     }
 

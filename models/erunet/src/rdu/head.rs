@@ -17,10 +17,10 @@ pub(super) struct Head {
 impl Head {
     /// The names stand directly under `rdu.`.
     pub(super) fn new(params: &Params<'_>, config: &Config) -> Result<Self> {
-        let d0 = config.d[0];
+        let (d0, outputs) = (config.d[0], config.form.head_channels());
         Ok(Self {
             head1: Conv::new(&params.at("head1"), ConvShape::k3(d0, d0))?,
-            head2: Conv::new(&params.at("head2"), ConvShape::k3(d0, 1).gain(0.1))?,
+            head2: Conv::new(&params.at("head2"), ConvShape::k3(d0, outputs).gain(0.1))?,
         })
     }
 
@@ -33,6 +33,18 @@ impl Head {
     pub(super) fn factor(&self, x: &Tensor) -> Result<Tensor> {
         let span = f64::from(LOG_SPAN);
         ((self.logit(x)? / span)?.tanh()? * span)?.exp()
+    }
+
+    /// `x` `[N, d0, H, W]`, `drop` and `rise` `[N, 1, H, W]`, logarithms of at least 0; returns a
+    /// factor, `[N, 1, H, W]`: between `exp(-drop)` and `exp(rise)` by the second channel, times
+    /// one between e^-3 and e^3 by the first.
+    pub(super) fn choice(&self, x: &Tensor, drop: &Tensor, rise: &Tensor) -> Result<Tensor> {
+        let span = f64::from(LOG_SPAN);
+        let logits = self.logit(x)?;
+        let free = ((logits.narrow(1, 0, 1)? / span)?.tanh()? * span)?;
+        let pick = (logits.narrow(1, 1, 1)? / 2.0)?.tanh()?;
+        let moved = ((pick.relu()? * rise)? - (pick.neg()?.relu()? * drop)?)?;
+        (free + moved)?.exp()
     }
 
     fn logit(&self, x: &Tensor) -> Result<Tensor> {

@@ -19,7 +19,7 @@ use crate::config::{Config, Form};
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;
 use crate::pass::Pass;
-use crate::prefill::prefill;
+use crate::prefill::{DROP, RISE, prefill};
 use decoder::DecStage;
 use head::Head;
 use pyramid::Pyramid;
@@ -99,14 +99,18 @@ impl Rdu {
             confidence = Some(gated.confidence);
         }
         let confidence = confidence.expect("the loop above runs four times");
-        let depth = match nearest {
-            None => (self.head.share(&x)? * self.d_max)?,
-            Some(nearest) => (self.head.factor(&x)? * nearest)?,
+        let depth = match (self.form, nearest) {
+            (Form::Choice, Some(nearest)) => {
+                let (drop, rise) = (seen.narrow(1, DROP, 1)?, seen.narrow(1, RISE, 1)?);
+                (self.head.choice(&x, &drop, &rise)? * nearest)?
+            }
+            (_, Some(nearest)) => (self.head.factor(&x)? * nearest)?,
+            (_, None) => (self.head.share(&x)? * self.d_max)?,
         };
         Ok((depth, confidence))
     }
 
-    /// What the depth encoder sees, `[N, 2 or 3, H, W]`, and what the output is a factor on.
+    /// What the depth encoder sees, `[N, 2 to 5, H, W]`, and what the output is a factor on.
     // A depth range in double precision would not outlive its first rounding.
     #[allow(
         clippy::cast_possible_truncation,
@@ -119,8 +123,8 @@ impl Rdu {
                 let seen = Tensor::cat(&[&(sparse / self.d_max)?, &returned], 1)?;
                 Ok((seen.to_device(device)?, None))
             }
-            Form::Residual => {
-                let (seen, nearest) = prefill(sparse, self.d_max as f32, device)?;
+            Form::Residual | Form::Choice => {
+                let (seen, nearest) = prefill(sparse, self.form, self.d_max as f32, device)?;
                 Ok((seen, Some(nearest)))
             }
         }

@@ -191,7 +191,14 @@ impl Builder {
         if let Some((output, emit)) = gate.output {
             let len = self.outputs[output.0];
             self.require_count("length of the output", len, size.area());
-            if let Emit::Factor { base, .. } = emit {
+            if let Emit::Factor { base, between, .. } = emit {
+                if let Some(between) = between {
+                    self.require_same("pick", self.planes[between.pick.0], size);
+                    for limit in [between.drop, between.rise] {
+                        let len = self.inputs[limit.0];
+                        self.require_count("length of a limit", len, size.area());
+                    }
+                }
                 self.require_count("length of the base", self.inputs[base.0], size.area());
                 let beside = usize::from(gate.plane.is_some()) + usize::from(gate.kept.is_some());
                 self.require_count("planes and features beside a factor", beside, 0);
@@ -283,8 +290,10 @@ impl Builder {
                         ..
                     } => {
                         needs.outputs.push((to.0, self.outputs[to.0]));
-                        if let Emit::Factor { base, .. } = emit {
-                            needs.inputs.push((base.0, self.inputs[base.0]));
+                        if let Emit::Factor { base, between, .. } = emit {
+                            let limits = between.iter().flat_map(|b| [b.drop, b.rise]);
+                            let read = limits.chain([*base]);
+                            needs.inputs.extend(read.map(|i| (i.0, self.inputs[i.0])));
                         }
                     }
                     Spec::Conv { .. } | Spec::Gate { .. } | Spec::Garf { .. } => {}

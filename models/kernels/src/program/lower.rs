@@ -387,6 +387,9 @@ fn operation<S: Simd, E: Element>(spec: &Spec, places: &Places) -> Operation<E> 
             let targets = GateTargets {
                 plane: plane.map(|plane| places.planes[plane.0]),
                 output: output.map(|(output, emit)| (output.0, emit)),
+                pick: output
+                    .and_then(|(_, emit)| emit.between())
+                    .map(|b| places.planes[b.pick.0]),
                 kept: kept.map(|(a, b)| (places.features[a.0], places.features[b.0])),
             };
             let inputs = places.all(inputs);

@@ -14,8 +14,8 @@ use thiserror::Error;
 pub use builder::Builder;
 pub use profile::OpProfile;
 pub use spec::{
-    BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane, Precision,
-    THREADS_MAX,
+    Between, BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
+    Precision, THREADS_MAX,
 };
 
 use crate::isa::Isa;

@@ -200,7 +200,7 @@ fn emitted(output: &Option<(Output, Emit)>) -> usize {
     match output {
         None => 0,
         Some((_, Emit::Scaled(_))) => 1,
-        Some((_, Emit::Factor { .. })) => 2,
+        Some((_, Emit::Factor { between, .. })) => 2 + 3 * usize::from(between.is_some()),
     }
 }
 

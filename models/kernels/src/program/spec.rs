@@ -116,7 +116,31 @@ pub enum Emit {
         base: Input,
         /// Largest logarithm of the factor.
         span: f32,
+        /// What the base is moved by first.
+        between: Option<Between>,
     },
+}
+
+/// Moves a base between two limits: by `exp(t * rise)` where `t = 2 pick - 1` is above 0, else by
+/// `exp(t * drop)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Between {
+    /// 0 to 1, from an earlier gate.
+    pub pick: Plane,
+    /// Logarithm of the base over its lower limit, 0 to 7.
+    pub drop: Input,
+    /// Logarithm of the upper limit over the base, 0 to 7.
+    pub rise: Input,
+}
+
+impl Emit {
+    /// The limits a factor's base is moved between.
+    pub(crate) fn between(&self) -> Option<Between> {
+        match self {
+            Self::Factor { between, .. } => *between,
+            Self::Scaled(_) => None,
+        }
+    }
 }
 
 /// `c = sigmoid(convolution(inputs))`, one channel.
@@ -310,11 +334,14 @@ impl Spec {
                 inputs,
                 kernel,
                 kept,
+                output,
                 ..
             } => {
                 let windows = inputs.iter().map(|f| feature(f, kernel / 2));
                 let kept = kept.iter().map(|(from, _)| feature(from, 0));
-                windows.chain(kept).collect()
+                let pick = output.iter().filter_map(|(_, emit)| emit.between());
+                let pick = pick.map(|between| (Buffer::Plane(between.pick.0), 0));
+                windows.chain(kept).chain(pick).collect()
             }
             Self::Garf {
                 x,

@@ -95,6 +95,8 @@ pub(super) struct Wanted {
     pub pictures: Option<(Domain, f64)>,
     /// The band around depth edges.
     pub edges: bool,
+    /// What moves on its own.
+    pub movers: bool,
 }
 
 /// A cut of one example, one vector per field, row-major.
@@ -102,7 +104,7 @@ pub(super) struct Wanted {
 pub(super) struct Piece {
     /// `[3, H, W]`
     pub blur: Vec<f32>,
-    /// `[n, BINS, H, W]`
+    /// From the start of the exposure, `[first + n, BINS, H, W]`
     pub voxel: Vec<f32>,
     /// `[n, 1, H, W]`
     pub sparse: Vec<f32>,
@@ -114,6 +116,8 @@ pub(super) struct Piece {
     pub event_grey: Vec<f32>,
     /// `[n, 1, H, W]`
     pub edges: Vec<f32>,
+    /// `[n, 1, H, W]`
+    pub movers: Vec<f32>,
 }
 
 /// Cuts examples; holds the raster's memory for one side length.
@@ -172,7 +176,7 @@ impl Cutter {
         }
         let mut piece = Piece {
             blur: cut.planes(&example.blur, size, shade),
-            voxel: self.voxel[first * BINS * area..(first + count) * BINS * area].to_vec(),
+            voxel: self.voxel[..(first + count) * BINS * area].to_vec(),
             sparse,
             depth: cut.planes(&example.depth[steps(1)], size, known),
             ..Piece::default()
@@ -183,6 +187,10 @@ impl Cutter {
             piece.event_grey = event_grey(&piece.blur, &sums, domain, contrast as f32)
                 [first * area..(first + count) * area]
                 .to_vec();
+        }
+        if wanted.movers {
+            let flag = |mover: bool| f32::from(u8::from(mover));
+            piece.movers = cut.planes(&example.movers[steps(1)], size, flag);
         }
         if wanted.edges {
             piece.edges = self.edges(&piece.depth);

@@ -60,7 +60,7 @@ pub struct Batch {
 pub struct Inputs {
     /// `[B, 3, H, W]`, encoded values over 255.
     pub blur: Tensor,
-    /// `[B, n, BINS, H, W]`.
+    /// From the start of the exposure, `[B, first_step + n, BINS, H, W]`.
     pub voxel: Tensor,
     /// `[B, n, 1, H, W]`, metres, 0 for no return.
     pub sparse: Tensor,
@@ -68,6 +68,8 @@ pub struct Inputs {
     pub depth: Tensor,
     /// `[B, n, 1, H, W]`, 1 near depth edges; only where asked for.
     pub edges: Option<Tensor>,
+    /// `[B, n, 1, H, W]`, 1 on what moves on its own; only where asked for.
+    pub movers: Option<Tensor>,
     /// Truth of restoration; only where asked for.
     pub pictures: Option<Pictures>,
     /// The step of the exposure that `n` counts from.
@@ -104,10 +106,15 @@ impl Batch {
         };
         Ok(Inputs {
             blur: Tensor::from_slice(&fields.blur, (b, 3, side, side), device)?,
-            voxel: steps(&fields.voxel, BINS)?,
+            voxel: Tensor::from_slice(
+                &fields.voxel,
+                (b, self.window.0 + n, BINS, side, side),
+                device,
+            )?,
             sparse: steps(&fields.sparse, 1)?,
             depth: steps(&fields.depth, 1)?,
             edges: given(&fields.edges)?,
+            movers: given(&fields.movers)?,
             pictures,
             first_step: self.window.0,
         })
@@ -122,6 +129,7 @@ impl Batch {
             sharp,
             event_grey,
             edges,
+            movers,
         } = piece;
         let all = &mut self.fields;
         for (field, more) in [
@@ -132,6 +140,7 @@ impl Batch {
             (&mut all.sharp, sharp),
             (&mut all.event_grey, event_grey),
             (&mut all.edges, edges),
+            (&mut all.movers, movers),
         ] {
             field.extend_from_slice(&more);
         }
@@ -147,12 +156,17 @@ impl Batch {
         let fields = &self.fields;
         let all = [
             ("blur", vec![b, 3, side, side], &fields.blur),
-            ("voxel", vec![b, n, BINS, side, side], &fields.voxel),
+            (
+                "voxel",
+                vec![b, self.window.0 + n, BINS, side, side],
+                &fields.voxel,
+            ),
             ("sparse", vec![b, n, 1, side, side], &fields.sparse),
             ("depth", vec![b, n, 1, side, side], &fields.depth),
             ("sharp", vec![b, n, 3, side, side], &fields.sharp),
             ("event_grey", vec![b, n, 1, side, side], &fields.event_grey),
             ("edges", vec![b, n, 1, side, side], &fields.edges),
+            ("movers", vec![b, n, 1, side, side], &fields.movers),
         ];
         let given: Vec<_> = all
             .into_iter()
@@ -198,6 +212,7 @@ impl Batch {
         let wanted = Wanted {
             pictures,
             edges: false,
+            movers: false,
         };
         let cut = Cut::whole(example.size);
         Ok(Self {
@@ -235,6 +250,7 @@ impl Recipe {
         Wanted {
             pictures: restores.then_some((self.loss.reblur_domain, self.loss.contrast)),
             edges: !restores && self.loss.depth_edges > 0.0,
+            movers: !restores && self.loss.depth_movers > 0.0,
         }
     }
 

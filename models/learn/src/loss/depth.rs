@@ -18,7 +18,7 @@ pub struct DepthLoss {
 }
 
 /// `depth`, `truth`, `sparse` `[B, T, 1, H, W]` in metres, 0 for none in the latter two; `edges`
-/// alike, 1 near depth edges, for the extra weight there.
+/// and `movers` alike, 1 near depth edges and on what moves, for the extra weights there.
 ///
 /// # Errors
 /// When shapes differ.
@@ -26,7 +26,7 @@ pub fn depth_loss(
     depth: &Tensor,
     truth: &Tensor,
     sparse: &Tensor,
-    edges: Option<&Tensor>,
+    [edges, movers]: [Option<&Tensor>; 2],
     weights: &Loss,
 ) -> Result<DepthLoss> {
     let known = truth.gt(0f32)?.to_dtype(truth.dtype())?;
@@ -52,6 +52,10 @@ pub fn depth_loss(
     if let Some(edges) = edges.filter(|_| weights.depth_edges > 0.0) {
         let near = (edges * &known)?;
         total = (total + (masked_mean(&error, &near)? * weights.depth_edges)?)?;
+    }
+    if let Some(movers) = movers.filter(|_| weights.depth_movers > 0.0) {
+        let on_them = masked_mean(&(&error * movers)?, &known)?;
+        total = (total + (on_them * weights.depth_movers)?)?;
     }
     Ok(DepthLoss {
         total,

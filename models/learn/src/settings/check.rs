@@ -173,6 +173,7 @@ impl Loss {
             ("contrast", self.contrast),
             ("log_depth", self.log_depth),
             ("depth_edges", self.depth_edges),
+            ("depth_movers", self.depth_movers),
         ];
         match weights
             .iter()

@@ -144,6 +144,9 @@ pub struct Loss {
     pub log_depth: f64,
     /// Extra weight of eq. 13 in the 5 px band around depth edges; not in the paper, 0 there.
     pub depth_edges: f64,
+    /// How many pixels more a pixel on something that moves counts for in eq. 13; not in the
+    /// paper, 0 there.
+    pub depth_movers: f64,
 }
 
 impl Default for Loss {
@@ -160,6 +163,7 @@ impl Default for Loss {
             contrast: 0.25,
             log_depth: 0.0,
             depth_edges: 0.0,
+            depth_movers: 0.0,
         }
     }
 }

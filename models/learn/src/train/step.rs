@@ -39,7 +39,8 @@ pub fn batch_loss(
     weights: &Loss,
     pass: &mut Pass,
 ) -> Result<BatchLoss, TrainError> {
-    let clear = network.restore_window(&inputs.blur, &inputs.voxel, inputs.first_step, pass)?;
+    let first = inputs.first_step;
+    let clear = network.restore_window(&inputs.blur, &inputs.voxel, first, pass)?;
     if kind == Kind::Restore {
         let pictures = inputs.pictures.as_ref().ok_or_else(no_pictures)?;
         let restored = network
@@ -47,12 +48,13 @@ pub fn batch_loss(
             .ok_or_else(no_pictures)?;
         return restoration_loss(&restored, pictures, &inputs.blur, weights);
     }
-    let outputs = network.complete_window(&clear, &inputs.voxel, &inputs.sparse, pass)?;
+    let voxel = inputs.voxel.narrow(1, first, clear.len())?;
+    let outputs = network.complete_window(&clear, &voxel, &inputs.sparse, pass)?;
     let loss = depth_loss(
         &outputs.depth,
         &inputs.depth,
         &inputs.sparse,
-        inputs.edges.as_ref(),
+        [inputs.edges.as_ref(), inputs.movers.as_ref()],
         weights,
     )?;
     let terms = [
