@@ -331,7 +331,11 @@ mod tests {
         let mut picture = Canvas::new(WIDTH, HEIGHT, [0; 3]).expect("a picture");
         // Columns alternate black and white.
         for (i, pixel) in picture.rgb_mut().chunks_exact_mut(3).enumerate() {
-            pixel.fill(if i % WIDTH % 2 == 0 { 255 } else { 0 });
+            pixel.fill(if (i % WIDTH).is_multiple_of(2) {
+                255
+            } else {
+                0
+            });
         }
         let table = EncodingTable::new(Encoding::Srgb);
         let small = shrunk(&picture);
