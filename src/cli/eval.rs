@@ -7,8 +7,8 @@ use noctule::config::Config;
 use noctule::dataset::RecordedScenes;
 use noctule_erunet::PlanOptions;
 use noctule_learn::{
-    DataSet, EvalError, Gallery, KittiScenes, Method, Observed, Scenes, Scores, Share, Withheld,
-    csv, evaluate, markdown, nyu_pairs,
+    DataSet, EvalError, Gallery, KittiScenes, Method, NyuScenes, Observed, RgbdScenes, Scenes,
+    Scores, Share, Withheld, csv, evaluate, markdown,
 };
 
 use super::{Failure, Outcome, named, progress, stop_on_signals};
@@ -19,7 +19,8 @@ pub struct Arguments {
     /// Networks: `xs` (part of the program) or weights files; baselines are always there
     #[arg(long, value_name = "NAME|FILE", value_delimiter = ',')]
     weights: Vec<String>,
-    /// `world:TIER:FIRST..LAST` (seeds, last excluded), `rec:DIR`, `kitti:ROOT` or `nyu:ROOT`
+    /// `world:TIER:FIRST..LAST` (seeds, last excluded), `rec:DIR`, `kitti:ROOT`, `nyu:ROOT` or
+    /// `rgbd:ROOT`
     #[arg(long, required_unless_present = "merge")]
     data: Option<DataSet>,
     /// What is printed
@@ -97,7 +98,7 @@ fn evaluated(arguments: &Arguments, data: &DataSet) -> Result<Scores, Failure> {
         Some(path) => Config::load(path)?,
         None => Config::default(),
     };
-    let (recorded, kitti);
+    let (recorded, kitti, nyu, rgbd);
     let scenes: &dyn Scenes = match data {
         DataSet::World(world) => world,
         DataSet::Recording(path) => {
@@ -109,12 +110,12 @@ fn evaluated(arguments: &Arguments, data: &DataSet) -> Result<Scores, Failure> {
             &kitti
         }
         DataSet::Nyu(root) => {
-            let pairs = nyu_pairs(root).map_err(EvalError::from)?.len();
-            return Err(EvalError::Scene {
-                scene: root.display().to_string(),
-                fault: format!("{pairs} pairs can be read, but evaluation on NYU is not written"),
-            }
-            .into());
+            nyu = NyuScenes::open(root).map_err(EvalError::from)?;
+            &nyu
+        }
+        DataSet::Rgbd(root) => {
+            rgbd = RgbdScenes::open(root).map_err(EvalError::from)?;
+            &rgbd
         }
     };
     let bar = progress::bar(0, "scoring exposures");

@@ -4,8 +4,9 @@
 //!   same in every run, from any batch on.
 //! - [`Run`] trains in the paper's stages and can be stopped and taken up again at any step.
 //! - [`evaluate`] scores networks and what needs no learning on the same exposures.
-//! - [`KittiScenes`] scores on KITTI, read in its published layouts, [`KittiClips`] trains on it;
-//!   [`expose`] makes the blur and the events of its sharp frames, moved along [`OpticalFlow`].
+//! - [`NyuScenes`] and [`RgbdScenes`] score in rooms, [`KittiScenes`] on KITTI, read in its published
+//!   layouts, [`KittiClips`] trains on it; [`expose`] makes the blur and the events of its sharp
+//!   frames, moved along [`OpticalFlow`].
 //! - [`Settings`] are what a run is told. Seeds of validation and test cannot be trained on.
 //!
 //! The crate prints nothing and parses no arguments.
@@ -35,15 +36,17 @@ pub use cache::{
 };
 pub use clip::held_out;
 pub use eval::{
-    DataSet, EvalError, Gallery, KittiScenes, Method, MethodScores, Observed, Row, Scene, Scenes,
-    Scores, Share, Withheld, WorldScenes, csv, evaluate, markdown,
+    DataSet, EvalError, Gallery, KittiScenes, Method, MethodScores, NyuScenes, Observed,
+    RgbdScenes, Row, Scene, Scenes, Scores, Share, Withheld, WorldScenes, csv, evaluate, markdown,
 };
 pub use loss::{DepthLoss, PictureLoss, depth_loss, picture_loss};
+#[cfg(feature = "hdf5")]
+pub use read::read_nyu_still;
 pub use read::{
-    BENCHMARK_HEIGHT, BENCHMARK_WIDTH, BenchmarkDrive, Calibration, ColourCamera, Drive, NyuPair,
-    Projected, RINGS, ReadError, ScanPoint, SelectedFrame, Selection, Split, Window,
-    benchmark_drives, is_validation_drive, nyu_pairs, raw_drives, read_scan, rings_by_elevation,
-    rings_by_order, sparse_depth,
+    BENCHMARK_HEIGHT, BENCHMARK_WIDTH, BenchmarkDrive, Calibration, ColourCamera, Drive, NyuLayout,
+    NyuPair, Projected, RINGS, ReadError, RgbdFrame, ScanPoint, SelectedFrame, Selection, Split,
+    Window, benchmark_drives, is_validation_drive, nyu_pairs, raw_drives, read_scan, rgbd_frames,
+    rgbd_sequences, rings_by_elevation, rings_by_order, sparse_depth,
 };
 pub use score::{DEPTH_CAP_M, DEPTH_MIN_M, Truth, score_sequence};
 pub use settings::{

@@ -50,6 +50,7 @@ fn recipe(cache: &Cache, kind: Kind) -> Recipe {
             event_noise_max: 0.1,
             return_drop_max: 0.3,
             gain: [0.5, 2.0],
+            ..Augment::default()
         },
         loss: Loss {
             depth_edges: 1.0,

@@ -111,6 +111,26 @@ fn each_wrong_number_is_named() {
             "[augment]\ngain = [2.0, 1.0]\n[[stages]]",
             "augment.gain",
         ),
+        (
+            "[[stages]]",
+            "[augment]\nzoom_max = 0.5\n[[stages]]",
+            "augment.zoom_max is 0.5, wanted 1 to 8",
+        ),
+        (
+            "[[stages]]",
+            "[augment]\nevent_lag_us_max = nan\n[[stages]]",
+            "augment.event_lag_us_max is NaN",
+        ),
+        (
+            "[[stages]]",
+            "[augment]\nring_stride_max = 0\n[[stages]]",
+            "augment.ring_stride_max is 0, wanted 1 to 64",
+        ),
+        (
+            "[[stages]]",
+            "[augment]\npicture_bits_min = 9\n[[stages]]",
+            "augment.picture_bits_min is 9",
+        ),
     ] {
         let error = error(from, to);
         assert!(error.contains(text), "{to}: {error}");

@@ -1,8 +1,11 @@
 //! Batches: examples cut, varied and put side by side, made ahead of the trainer.
 
+mod crop;
 mod cut;
 mod loader;
 mod order;
+mod pixels;
+mod vary;
 
 use std::collections::HashMap;
 use std::path::Path;

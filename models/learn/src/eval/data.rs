@@ -20,6 +20,8 @@ pub enum DataSet {
     Kitti(PathBuf),
     /// `nyu:ROOT`: NYU Depth v2.
     Nyu(PathBuf),
+    /// `rgbd:ROOT`: RGB-D sequences in the layout of 7-Scenes.
+    Rgbd(PathBuf),
 }
 
 /// Width and height of evaluation pictures, pixels.
@@ -33,9 +35,9 @@ impl FromStr for DataSet {
             text: text.to_owned(),
             wanted,
         };
-        let (kind, rest) = text
-            .split_once(':')
-            .ok_or_else(|| wrong("world:TIER:FIRST..LAST, rec:DIR, kitti:ROOT or nyu:ROOT"))?;
+        let (kind, rest) = text.split_once(':').ok_or_else(|| {
+            wrong("world:TIER:FIRST..LAST, rec:DIR, kitti:ROOT, nyu:ROOT or rgbd:ROOT")
+        })?;
         if rest.is_empty() {
             return Err(wrong("something after the colon"));
         }
@@ -56,7 +58,8 @@ impl FromStr for DataSet {
             "rec" => Ok(Self::Recording(rest.into())),
             "kitti" => Ok(Self::Kitti(rest.into())),
             "nyu" => Ok(Self::Nyu(rest.into())),
-            _ => Err(wrong("world:, rec:, kitti: or nyu: in front")),
+            "rgbd" => Ok(Self::Rgbd(rest.into())),
+            _ => Err(wrong("world:, rec:, kitti:, nyu: or rgbd: in front")),
         }
     }
 }

@@ -3,8 +3,11 @@
 mod data;
 mod error;
 mod gallery;
+mod indoor;
 mod kitti;
 mod method;
+mod nyu;
+mod rgbd;
 mod scene;
 mod table;
 
@@ -16,6 +19,8 @@ pub use gallery::Gallery;
 pub use kitti::KittiScenes;
 pub use method::Method;
 pub(crate) use method::complete;
+pub use nyu::NyuScenes;
+pub use rgbd::RgbdScenes;
 pub use scene::{Scene, Scenes, WorldScenes};
 pub use table::{MethodScores, Row, Scores, csv, markdown};
 

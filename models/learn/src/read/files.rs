@@ -48,6 +48,27 @@ pub(super) fn first_folder(places: impl IntoIterator<Item = PathBuf>) -> Option<
     places.into_iter().find(|place| place.is_dir())
 }
 
+/// Folders that hold a file with such a name: `root` and what lies up to `levels` below it, sorted.
+/// What lies below a folder that is found is not looked at.
+pub(super) fn folders_with(
+    root: &Path,
+    levels: usize,
+    is_wanted: &dyn Fn(&str) -> bool,
+) -> Result<Vec<PathBuf>, ReadError> {
+    let names = names(root)?;
+    if names.iter().any(|name| is_wanted(name)) {
+        return Ok(vec![root.into()]);
+    }
+    let mut found = Vec::new();
+    if levels > 0 {
+        let places = names.iter().map(|name| root.join(name));
+        for place in places.filter(|place| place.is_dir()) {
+            found.append(&mut folders_with(&place, levels - 1, is_wanted)?);
+        }
+    }
+    Ok(found)
+}
+
 /// Numbers of a folder's files `0000000012.EXTENSION`, ascending. Other files are an error: a
 /// frame left out unnoticed would tear a sequence.
 pub(super) fn frames(folder: &Path, extension: &str) -> Result<Vec<u32>, ReadError> {

@@ -10,6 +10,10 @@ mod error;
 mod files;
 mod netpbm;
 mod nyu;
+mod nyu_register;
+#[cfg(feature = "hdf5")]
+mod nyu_still;
+mod rgbd;
 mod rings;
 mod selection;
 mod velodyne;
@@ -19,7 +23,11 @@ pub use benchmark::{BenchmarkDrive, Split, benchmark_drives};
 pub use calibration::{Calibration, ColourCamera, Projected};
 pub use drive::{Drive, is_validation_drive, raw_drives};
 pub use error::ReadError;
-pub use nyu::{NyuPair, nyu_pairs};
+pub use nyu::{NyuLayout, NyuPair, nyu_pairs};
+pub(crate) use nyu_register::registered;
+#[cfg(feature = "hdf5")]
+pub use nyu_still::read_nyu_still;
+pub use rgbd::{RgbdFrame, rgbd_frames, rgbd_sequences};
 pub use rings::{RINGS, rings_by_elevation, rings_by_order};
 pub use selection::{SelectedFrame, Selection};
 pub use velodyne::{ScanPoint, read_scan, sparse_depth};

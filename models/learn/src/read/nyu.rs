@@ -1,9 +1,9 @@
 //! NYU Depth v2 in its raw layout: `SCENE/r-TIME-COUNT.ppm` and `SCENE/d-TIME-COUNT.pgm`.
 //!
 //! Colour and depth run at their own pace, so every depth map is paired with the picture nearest
-//! in time. The two cameras are not registered to each other: that is the toolbox's work, and edges
-//! of the two lie apart by some pixels. HDF5 files (`nyu_depth_v2_labeled.mat`, `00001.h5`) are not
-//! read.
+//! in time. The two cameras are not registered to each other: that is [`super::nyu_register`]'s
+//! work. The labelled set (`nyu_depth_v2_labeled.mat`) is not read; the pre-processed one
+//! (`00001.h5`) is [`super::nyu_still`]'s.
 
 use std::path::{Path, PathBuf};
 
@@ -20,6 +20,69 @@ const DEPTH_MAX_M: f32 = 10.0;
 /// Greatest distance in time of a pair, seconds: half a period of the slower stream, 20 Hz.
 const PAIR_S_MAX: f64 = 0.025;
 
+/// Levels of folders below a root in which scenes are looked for: `ROOT/basements/basement_0001a`.
+const LEVELS: usize = 2;
+
+/// What lies below a folder of NYU Depth v2.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NyuLayout {
+    /// Folders of raw scenes, sorted.
+    Raw(Vec<PathBuf>),
+    /// Pre-processed single frames `00001.h5`, sorted; those of the part `val` where there is one.
+    Stills(Vec<PathBuf>),
+}
+
+impl NyuLayout {
+    /// Finds out which layout `root` has, in it and up to two levels below.
+    ///
+    /// # Errors
+    /// [`ReadError`], when it has none of the two, or holds the labelled set in MATLAB's format.
+    pub fn of(root: &Path) -> Result<Self, ReadError> {
+        let raw = files::folders_with(root, LEVELS, &|name| stream_of(name).is_some())?;
+        if !raw.is_empty() {
+            return Ok(Self::Raw(raw));
+        }
+        let part = files::first_folder([root.join("val")]).unwrap_or_else(|| root.into());
+        let mut stills = Vec::new();
+        for folder in files::folders_with(&part, LEVELS, &|name| name.ends_with(".h5"))? {
+            let names = files::names(&folder)?;
+            let names = names.iter().filter(|name| name.ends_with(".h5"));
+            stills.extend(names.map(|name| folder.join(name)));
+        }
+        if !stills.is_empty() {
+            return Ok(Self::Stills(stills));
+        }
+        let labelled = files::names(root)?;
+        match labelled.iter().find(|name| name.ends_with(".mat")) {
+            Some(name) => Err(ReadError::content(&root.join(name), LABELLED)),
+            None => Err(ReadError::missing(
+                root,
+                "scene with r-TIME-COUNT.ppm and d-TIME-COUNT.pgm, nor 00001.h5",
+            )),
+        }
+    }
+}
+
+/// What is said of the labelled set.
+const LABELLED: &str = "is MATLAB's HDF5, which is not read: write each frame to 00001.h5 with \
+    rgb, u8 [3, 480, 640], and depth, f32 [480, 640] in metres";
+
+/// Which stream a file of a raw scene belongs to, and its name without the extension.
+fn stream_of(name: &str) -> Option<(Stream, &str)> {
+    match (name.get(..2), name.rsplit_once('.')) {
+        (Some("d-"), Some((stem, "pgm"))) => Some((Stream::Depth, stem)),
+        (Some("r-"), Some((stem, "ppm"))) => Some((Stream::Picture, stem)),
+        _ => None, // acceleration, index files
+    }
+}
+
+/// The two cameras of a raw scene.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stream {
+    Depth,
+    Picture,
+}
+
 /// One depth map and the picture nearest to it in time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NyuPair {
@@ -34,21 +97,11 @@ pub struct NyuPair {
 /// Pairs of one scene in order of time. Depth maps without a picture within 25 ms are left out.
 ///
 /// # Errors
-/// [`ReadError`], when the folder holds HDF5, or no pair, or a file called otherwise.
+/// [`ReadError`], when the folder holds no pair, or a file of either kind without a time.
 pub fn nyu_pairs(scene: &Path) -> Result<Vec<NyuPair>, ReadError> {
     let (mut depths, mut pictures) = (Vec::new(), Vec::new());
     for name in files::names(scene)? {
-        if name.ends_with(".h5") || name.ends_with(".mat") {
-            let fault = "is HDF5, which is not read: convert it to SCENE/r-TIME-COUNT.ppm (P6) and \
-                         SCENE/d-TIME-COUNT.pgm (P5 of 16 bits, raw disparity)";
-            return Err(ReadError::content(&scene.join(&name), fault));
-        }
-        let stream = match (name.get(..2), name.rsplit_once('.')) {
-            (Some("d-"), Some((stem, "pgm"))) => Some((&mut depths, stem)),
-            (Some("r-"), Some((stem, "ppm"))) => Some((&mut pictures, stem)),
-            _ => None, // acceleration, index files
-        };
-        if let Some((stream, stem)) = stream {
+        if let Some((stream, stem)) = stream_of(&name) {
             let time = stem.split('-').nth(1).and_then(|t| t.parse::<f64>().ok());
             let time = time.filter(|t| t.is_finite()).ok_or_else(|| {
                 ReadError::content(
@@ -56,7 +109,11 @@ pub fn nyu_pairs(scene: &Path) -> Result<Vec<NyuPair>, ReadError> {
                     format!("{name:?} has no time like r-1294886360.5-1.ppm"),
                 )
             })?;
-            stream.push((time, scene.join(&name)));
+            let files = match stream {
+                Stream::Depth => &mut depths,
+                Stream::Picture => &mut pictures,
+            };
+            files.push((time, scene.join(&name)));
         }
     }
     depths.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -89,6 +146,16 @@ pub fn nyu_pairs(scene: &Path) -> Result<Vec<NyuPair>, ReadError> {
 }
 
 impl NyuPair {
+    /// The picture's file.
+    pub fn picture_path(&self) -> &Path {
+        &self.picture
+    }
+
+    /// The depth map's file.
+    pub fn depth_path(&self) -> &Path {
+        &self.depth
+    }
+
     /// Reads the picture.
     ///
     /// # Errors
@@ -172,15 +239,40 @@ mod tests {
     }
 
     #[test]
-    fn hdf5_is_refused_with_what_to_do() {
+    fn layouts_are_told_apart_and_faults_are_named() {
         let folder = tempfile::tempdir().expect("a folder");
-        let error = nyu_pairs(folder.path()).expect_err("empty").to_string();
+        let root = folder.path();
+        let write = |name: &str| {
+            let path = root.join(name);
+            fs::create_dir_all(path.parent().expect("a parent")).expect("a folder");
+            fs::write(path, b"").expect("written");
+        };
+        let error = nyu_pairs(root).expect_err("empty").to_string();
         assert!(error.contains("has no depth map with a picture"), "{error}");
-        fs::write(folder.path().join("00001.h5"), b"").expect("written");
-        let error = nyu_pairs(folder.path()).expect_err("HDF5").to_string();
+        let error = NyuLayout::of(root).expect_err("empty").to_string();
+        assert!(error.contains("has no scene with r-TIME"), "{error}");
+        write("nyu_depth_v2_labeled.mat");
+        let error = NyuLayout::of(root).expect_err("MATLAB").to_string();
         assert!(
-            error.contains("00001.h5: is HDF5, which is not read: convert"),
+            error.contains("nyu_depth_v2_labeled.mat: is MATLAB's HDF5"),
             "{error}"
         );
+        write("train/basement_0001a/00001.h5");
+        let stills =
+            |names: &[&str]| NyuLayout::Stills(names.iter().map(|name| root.join(name)).collect());
+        let found = NyuLayout::of(root).expect("a layout");
+        assert_eq!(found, stills(&["train/basement_0001a/00001.h5"]));
+        write("val/official/00002.h5");
+        write("val/official/00001.h5");
+        let found = NyuLayout::of(root).expect("a layout");
+        let wanted = ["val/official/00001.h5", "val/official/00002.h5"];
+        assert_eq!(found, stills(&wanted));
+        write("cafes/cafe_0002/d-1.0-2.pgm");
+        write("cafes/cafe_0001/r-1.0-2.ppm");
+        let scenes = ["cafes/cafe_0001", "cafes/cafe_0002"].map(|name| root.join(name));
+        let found = NyuLayout::of(root).expect("a layout");
+        assert_eq!(found, NyuLayout::Raw(scenes.to_vec()));
+        let one = NyuLayout::of(&scenes[1]).expect("a layout");
+        assert_eq!(one, NyuLayout::Raw(vec![scenes[1].clone()]));
     }
 }

@@ -193,12 +193,29 @@ impl Augment {
         share("augment.flip", self.flip)?;
         share("augment.event_drop_max", self.event_drop_max)?;
         share("augment.return_drop_max", self.return_drop_max)?;
-        if !(0.0..=10.0).contains(&self.event_noise_max) {
-            return Err(number(
-                "augment.event_noise_max",
-                self.event_noise_max,
-                "0 to 10",
-            ));
+        share("augment.zoom", self.zoom)?;
+        share("augment.ring_drop_max", self.ring_drop_max)?;
+        for (key, value, [low, high]) in [
+            ("event_noise_max", self.event_noise_max, [0.0, 10.0]),
+            ("zoom_max", self.zoom_max, [1.0, 8.0]),
+            ("event_threshold_max", self.event_threshold_max, [1.0, 16.0]),
+            ("event_lag_us_max", self.event_lag_us_max, [0.0, 1e6]),
+            ("event_dead_us_max", self.event_dead_us_max, [0.0, 1e6]),
+            ("range_noise_m_max", self.range_noise_m_max, [0.0, 10.0]),
+            ("read_noise_max", self.read_noise_max, [0.0, 1.0]),
+        ] {
+            if !(low..=high).contains(&value) {
+                let key = format!("augment.{key}");
+                return Err(number(key, value, format!("{low} to {high}")));
+            }
+        }
+        if !(1..=64).contains(&self.ring_stride_max) {
+            let key = "augment.ring_stride_max";
+            return Err(number(key, self.ring_stride_max, "1 to 64"));
+        }
+        if !(1..=8).contains(&self.picture_bits_min) {
+            let key = "augment.picture_bits_min";
+            return Err(number(key, self.picture_bits_min, "1 to 8"));
         }
         let [low, high] = self.gain;
         if !(low > 0.0 && low <= high && high <= 100.0) {

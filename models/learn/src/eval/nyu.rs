@@ -1,0 +1,158 @@
+//! NYU Depth v2 as exposures with truth.
+//!
+//! - Raw scenes: windows of eight consecutive pairs of picture and depth map. Where more than two
+//!   periods of the slower stream lie between pairs, or two depth maps have the same picture, the
+//!   sequence is torn and taken up behind the gap.
+//! - Pre-processed single frames (`val/official/00001.h5`), in a build with the feature `hdf5`:
+//!   rooms that stand still.
+
+use std::path::{Path, PathBuf};
+
+use noctule_world::STEPS;
+
+use super::error::EvalError;
+use super::indoor::{RoomWindow, folder_name, windows};
+use super::scene::{Scene, Scenes};
+use crate::read::{NyuLayout, NyuPair, ReadError, nyu_pairs};
+
+/// Longest time from one picture to the next, seconds: 20 Hz, and half as much again.
+const GAP_S_MAX: f64 = 0.075;
+
+/// A folder of NYU Depth v2, ready to be scored on.
+#[derive(Debug, Clone)]
+pub struct NyuScenes {
+    source: Source,
+}
+
+#[derive(Debug, Clone)]
+enum Source {
+    Raw(Vec<RoomWindow<NyuPair>>),
+    Stills { root: PathBuf, files: Vec<PathBuf> },
+}
+
+impl NyuScenes {
+    /// Finds what can be scored at `root`: a scene, a folder of scenes or of such folders.
+    ///
+    /// # Errors
+    /// [`ReadError`], when nothing can be scored, a file's name is not understood, or the folder
+    /// holds HDF5 and this build does not read it.
+    pub fn open(root: &Path) -> Result<Self, ReadError> {
+        match NyuLayout::of(root)? {
+            NyuLayout::Raw(scenes) => Self::raw(root, &scenes),
+            NyuLayout::Stills(files) => {
+                refuse_hdf5(&files)?;
+                let source = Source::Stills {
+                    root: root.into(),
+                    files,
+                };
+                Ok(Self { source })
+            }
+        }
+    }
+
+    fn raw(root: &Path, scenes: &[PathBuf]) -> Result<Self, ReadError> {
+        let mut found = Vec::new();
+        for scene in scenes {
+            let folder = folder_name(root, scene);
+            let name = |pair: &NyuPair| format!("{folder}:{}", pair.depth_time_s);
+            for run in runs(nyu_pairs(scene)?) {
+                found.append(&mut windows(run, &name, &period_us));
+            }
+        }
+        match found.is_empty() {
+            true => Err(ReadError::Missing {
+                path: root.into(),
+                wanted: format!(
+                    "{STEPS} consecutive pairs of picture and depth, at most {GAP_S_MAX} s apart"
+                ),
+            }),
+            false => Ok(Self {
+                source: Source::Raw(found),
+            }),
+        }
+    }
+}
+
+/// Pairs that follow one another without a gap.
+fn runs(pairs: Vec<NyuPair>) -> Vec<Vec<NyuPair>> {
+    let mut runs: Vec<Vec<NyuPair>> = Vec::new();
+    for pair in pairs {
+        let last = runs
+            .last_mut()
+            .and_then(|run| Some((run.last()?.picture_time_s, run)));
+        match last {
+            Some((before, run)) if follows(before, pair.picture_time_s) => run.push(pair),
+            _ => runs.push(vec![pair]),
+        }
+    }
+    runs
+}
+
+/// Whether a picture is the next one; not the same, and not one after a gap.
+fn follows(before_s: f64, after_s: f64) -> bool {
+    after_s > before_s && after_s - before_s <= GAP_S_MAX
+}
+
+/// Mean time from picture to picture, microseconds.
+fn period_us(pairs: &[NyuPair]) -> f64 {
+    let time = |pair: Option<&NyuPair>| pair.map_or(0.0, |pair| pair.picture_time_s);
+    let gaps = pairs.len().saturating_sub(1).max(1);
+    (time(pairs.last()) - time(pairs.first())) * 1e6 / gaps as f64
+}
+
+impl Scenes for NyuScenes {
+    fn count(&self) -> usize {
+        match &self.source {
+            Source::Raw(windows) => windows.len(),
+            Source::Stills { files, .. } => files.len(),
+        }
+    }
+
+    fn scene(&self, index: usize) -> Result<Scene, EvalError> {
+        match &self.source {
+            Source::Raw(windows) => windows[index].scene(),
+            Source::Stills { root, files } => still(root, &files[index]),
+        }
+    }
+}
+
+#[cfg(feature = "hdf5")]
+fn refuse_hdf5(_: &[PathBuf]) -> Result<(), ReadError> {
+    Ok(())
+}
+
+#[cfg(feature = "hdf5")]
+fn still(root: &Path, path: &Path) -> Result<Scene, EvalError> {
+    let (picture, depth) = crate::read::read_nyu_still(path)?;
+    super::indoor::still(
+        &folder_name(root, &path.with_extension("")),
+        path,
+        &picture,
+        &depth,
+    )
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn refuse_hdf5(files: &[PathBuf]) -> Result<(), ReadError> {
+    Err(not_read(
+        files
+            .first()
+            .map_or(Path::new("00001.h5"), PathBuf::as_path),
+    ))
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn still(_: &Path, path: &Path) -> Result<Scene, EvalError> {
+    Err(not_read(path).into())
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn not_read(path: &Path) -> ReadError {
+    ReadError::Content {
+        path: path.into(),
+        fault: "is HDF5, which this build does not read: build with the feature hdf5, or convert \
+                to SCENE/r-TIME-COUNT.ppm (P6) and SCENE/d-TIME-COUNT.pgm (P5 of 16 bits, raw \
+                disparity, low byte first)"
+            .into(),
+    }
+}
