@@ -265,8 +265,11 @@ fn validation_line(found: &Validation) -> String {
     }
     if let Some(k) = found.kitti {
         line += &format!(
-            " real frames: RMSE {:.3}, MAE {:.3} of nearest; MAE {:.0} mm;",
-            k.rmse, k.mae, k.mae_mm
+            "{} real frames of nearest: RMSE {:.3}, MAE {:.3}; MAE {:.0} mm",
+            if found.depth.is_some() { ";" } else { "" },
+            k.rmse,
+            k.mae,
+            k.mae_mm
         );
     }
     if let Some(p) = found.pictures {

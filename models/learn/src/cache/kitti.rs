@@ -26,7 +26,7 @@ use crate::settings::KittiDrives;
 use crate::synth::{Footage, InBetween, Synthesis, expose};
 
 /// Salt of columns and nights of the squares.
-const SQUARE: u64 = 0x6b69_7474_69;
+const SQUARE: u64 = 0x006b_6974_7469;
 /// Squares of an exposure that is validated on, as evaluation has them.
 const VALIDATION_SQUARES: usize = 3;
 /// Rows above the squares from which flow is known too.

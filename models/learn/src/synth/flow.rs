@@ -131,7 +131,7 @@ impl OpticalFlow {
             let (rest, inverse) = (&data.rest[here.clone()], &data.inverse[here]);
             for x in 0..w {
                 let residual = rest[x] + gx[x] * dx[x] + gy[x] * dy[x];
-                let step = (-residual * inverse[x]).max(-DATA * TIE).min(DATA * TIE);
+                let step = (-residual * inverse[x]).clamp(-DATA * TIE, DATA * TIE);
                 dx[x] += step * gx[x] + TIE * div_x[x];
                 dy[x] += step * gy[x] + TIE * div_y[x];
             }
