@@ -112,13 +112,9 @@ fn a_gap_or_a_picture_twice_tears_a_scene() {
 
 fn all(scenes: &dyn Scenes, share: Share) -> Scores {
     let stop = AtomicBool::new(false);
-    evaluate(
-        scenes,
-        &mut Method::baselines(),
-        share,
-        &stop,
-        &mut |_| Ok(()),
-    )
+    evaluate(scenes, &mut Method::baselines(), share, &stop, &mut |_| {
+        Ok(())
+    })
     .unwrap()
 }
 
