@@ -216,7 +216,7 @@ pub struct DepthHeader {
     pub height: u32,
     /// Columns W.
     pub width: u32,
-    /// Which model made it: [`ModelId`].
+    /// Which model made it: [`ModelId`](super::ModelId).
     pub model: u32,
     /// Bits of [`flag`].
     pub flags: u32,
