@@ -194,8 +194,8 @@ fn small_members_equal_candle_over_eight_steps() {
     agrees(&Config::xs().with_form(Form::Residual), 96, 160, two);
 }
 
+/// Takes candle half a minute.
 #[test]
-#[ignore = "the paper's network takes candle half a minute"]
 fn full_equals_candle_over_eight_steps() {
     agrees(&Config::full(), 256, 256, PlanOptions::default());
 }
