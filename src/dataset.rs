@@ -140,6 +140,7 @@ impl Scenes for RecordedScenes {
             blur: planes.image.to_vec(),
             voxel: planes.voxels.to_vec(),
             sparse: planes.sparse.to_vec(),
+            ground: header.ground(),
             depth: Vec::new(),
             movers: Vec::new(),
             thin: Vec::new(),

@@ -10,8 +10,15 @@ use noctule::bench::{InferPlan, bench_infer};
 use noctule::config::Config;
 use noctule::frame::{BundlePlanes, ModelId};
 use noctule::infer::{Engines, InferError, shipped_weights};
-use noctule_erunet::{Config as Widths, Network, Norms, Weights};
+use noctule_erunet::{Config as Widths, Ground, Network, Norms, Weights};
 use noctule_kernels::Precision;
+
+/// Level ground seen from 1.5 m.
+const GROUND: Option<Ground> = Some(Ground {
+    per_column: 0.0,
+    per_row: 0.01,
+    first: -0.3,
+});
 
 /// A configuration for 64 x 96 pixels with weights of `xs` in `folder`, and those weights.
 fn set_up(folder: &Path, extra: &str) -> (Config, Weights) {
@@ -69,7 +76,9 @@ fn by_engines(config: &Config, bundle: &Bundle) -> Vec<(Vec<f32>, Vec<f32>)> {
         [ModelId::Nearest, ModelId::Fill, ModelId::Xs]
     );
     let planes = bundle.planes();
-    let mut run = engines.begin(ModelId::Xs, &planes).unwrap();
+    let mut run = engines
+        .begin(ModelId::Xs, &planes, GROUND.as_ref())
+        .unwrap();
     let area = config.bundle_layout().plane();
     let steps = (0..8).map(|step| {
         let (mut depth, mut trust) = (vec![f32::NAN; area], vec![f32::NAN; area]);
@@ -86,7 +95,9 @@ fn by_candle(weights: &Weights, bundle: &Bundle) -> Vec<(Vec<f32>, Vec<f32>)> {
         Tensor::from_slice(values, (1, channels, 64, 96), &Device::Cpu).unwrap()
     };
     let flat = |t: Tensor| t.flatten_all().unwrap().to_vec1().unwrap();
-    let mut sequence = network.begin(&tensor(&bundle.image, 3)).unwrap();
+    let mut sequence = network
+        .begin(&tensor(&bundle.image, 3), GROUND.as_ref())
+        .unwrap();
     let steps = bundle
         .voxels
         .chunks_exact(5 * area)

@@ -45,6 +45,9 @@ pub struct Arguments {
     /// Folder of KITTI's raw drives, in place of the settings' `data.kitti.root`
     #[arg(long, value_name = "DIR")]
     kitti: Option<PathBuf>,
+    /// Seed of weights, order and augmentation, in place of the settings' `seed`
+    #[arg(long, value_name = "N")]
+    seed: Option<u32>,
     /// Processor threads, in place of the settings' `threads`
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
@@ -74,6 +77,7 @@ pub fn run(arguments: &Arguments) -> Outcome {
         };
         kitti.root.clone_from(root);
     }
+    settings.seed = arguments.seed.unwrap_or(settings.seed);
     if let Some(threads) = arguments.threads {
         settings.threads = threads.max(1);
     }

@@ -2,6 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
+use noctule_depth::Ground;
 
 use super::{
     BUNDLE_MAGIC, BundleLayout, DEPTH_MAGIC, DepthLayout, FRAME_VERSION, FrameError, STEPS_MAX,
@@ -147,6 +148,11 @@ pub struct BundleHeader {
     pub returns: u32,
     /// Largest depth the sensors of this rig report, metres.
     pub depth_m_max: f32,
+    /// Level ground in the planes: what one column adds to its inverse depth, what one row adds,
+    /// and the inverse depth at the first pixel, 1/m; all zero where it is not known.
+    pub ground: [f32; 3],
+    /// Zero.
+    pub reserved: u32,
     /// What was lost since the previous bundle.
     pub lost: Lost,
     /// How fast the host was.
@@ -176,6 +182,18 @@ impl BundleHeader {
             });
         }
         BundleLayout::new(self.steps, self.bins, self.height, self.width)
+    }
+
+    /// Where level ground lies in the planes; `None` where that is not known.
+    #[must_use]
+    pub fn ground(&self) -> Option<Ground> {
+        let [per_column, per_row, first] = self.ground;
+        let ground = Ground {
+            per_column,
+            per_row,
+            first,
+        };
+        (self.ground != [0.0; 3] && ground.is_finite()).then_some(ground)
     }
 
     /// The header with everything removed that differs between two runs over the same recording.

@@ -18,7 +18,7 @@ pub use layout::{BundleLayout, BundlePlanes, BundlePlanesMut, DepthLayout};
 pub use model::ModelId;
 
 /// Version of every layout in this module.
-pub const FRAME_VERSION: u32 = 1;
+pub const FRAME_VERSION: u32 = 2;
 /// Marks a bundle header ("NOCB").
 pub const BUNDLE_MAGIC: u32 = 0x4243_4f4e;
 /// Marks a depth header ("NOCD").
@@ -101,7 +101,7 @@ mod tests {
         header.version += 1;
         assert!(matches!(
             header.layout(),
-            Err(FrameError::Version { version: 2, .. })
+            Err(FrameError::Version { version: 3, .. })
         ));
     }
 

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use noctule_depth::Ground;
 use noctule_hesai::{Correction, Model};
 use noctule_raster::{
     Channel, Crop, Distortion, Grid, Pinhole, PixelMap, RasterError, Rescale, SparseConfig,
@@ -73,6 +74,8 @@ pub struct Rig {
     pub sparse: Option<SparseConfig>,
     /// From image pixels to the grid; absent without a camera.
     pub image: Option<Rescale>,
+    /// Level ground in the picture, where the calibration has any beneath the camera.
+    pub ground: Option<Ground>,
     /// Header's image encoding.
     pub encoding: u32,
     /// Header's bits per sample.
@@ -136,6 +139,7 @@ impl Rig {
             voxels,
             sparse,
             image: meta.camera.as_ref().map(|_| image),
+            ground: ground(known, &camera),
             encoding: meta.camera.as_ref().map_or(0, |c| c.encoding as u32),
             bit_depth: meta.camera.as_ref().map_or(8, |c| c.bit_depth.into()),
             history_events: config.lanes.history_events,
@@ -237,6 +241,18 @@ fn pinhole(lens: &Lens) -> Result<Pinhole, RasterError> {
     Pinhole::new(lens.fx, lens.fy, lens.cx, lens.cy, distortion)
 }
 
+/// The vehicle stands on the plane z = 0 of its own frame.
+fn ground(calibration: &Calibration, camera: &Pinhole) -> Option<Ground> {
+    let vehicle_from_camera = isometry(&calibration.vehicle_from_lidar)
+        * isometry(&calibration.camera_from_lidar).inverse();
+    let height_m = vehicle_from_camera.translation.z;
+    let down = vehicle_from_camera
+        .rotation
+        .inverse_transform_vector(&-Vector3::z());
+    let ((fx, fy), (cx, cy)) = (camera.focal(), camera.centre());
+    Ground::beneath(height_m, down.into(), [fx, fy], [cx, cy])
+}
+
 fn isometry(pose: &Pose) -> Isometry3<f64> {
     let [x, y, z] = pose.translation_m;
     let rotation = Matrix3::from_fn(|row, column| pose.rotation[row][column]);
@@ -335,5 +351,45 @@ fn sparse_config(
         margin_deg: 1.0,
         motion_samples: MOTION_SAMPLES,
         motion_reach: MOTION_REACH,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_rig_stands_on_the_ground() {
+        let rig = Calibration::default_rig();
+        let camera = pinhole(&rig.camera).expect("a camera");
+        let ground = ground(&rig, &camera).expect("ground beneath it");
+        // 1.5 m up and level: 10 m ahead lies 0.15 focal lengths below the axis.
+        let (column, row) = (rig.camera.cx + 40.0, rig.camera.cy + 0.15 * rig.camera.fy);
+        #[expect(clippy::cast_possible_truncation, reason = "pixels")]
+        let found = ground.inverse_depth(column as f32, row as f32);
+        assert!((found - 0.1).abs() < 1e-6, "{found}");
+        assert!(ground.per_row > 0.0 && ground.per_column.abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_camera_that_looks_up_sees_its_horizon_further_down() {
+        let mut rig = Calibration::default_rig();
+        let camera = pinhole(&rig.camera).expect("a camera");
+        let (sin, cos) = 0.1_f64.sin_cos();
+        // Turned about its own x axis, y down: up is from z towards -y.
+        let nod = [[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]];
+        let old = rig.camera_from_lidar;
+        rig.camera_from_lidar.rotation = std::array::from_fn(|r| {
+            std::array::from_fn(|c| (0..3).map(|k| nod[r][k] * old.rotation[k][c]).sum())
+        });
+        rig.camera_from_lidar.translation_m =
+            std::array::from_fn(|r| (0..3).map(|k| nod[r][k] * old.translation_m[k]).sum());
+        let ground = ground(&rig, &camera).expect("ground beneath it");
+        let horizon = -f64::from(ground.first) / f64::from(ground.per_row);
+        let wanted = rig.camera.cy + 0.1_f64.tan() * rig.camera.fy;
+        assert!(
+            (horizon - wanted).abs() < 0.01,
+            "{horizon}, wanted {wanted}"
+        );
     }
 }

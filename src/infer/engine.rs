@@ -1,6 +1,6 @@
 //! The models behind one interface: begin a sequence, then one step after another.
 
-use noctule_depth::{Completer, SizeError, confidence};
+use noctule_depth::{Completer, Ground, SizeError, confidence};
 
 use super::Rung;
 use crate::bus::BusError;
@@ -108,7 +108,8 @@ impl Engines {
         classical.collect()
     }
 
-    /// Starts a sequence of `model` over the bundle whose rasters are `planes`.
+    /// Starts a sequence of `model` over the bundle whose rasters are `planes`; `ground` says
+    /// where level ground lies in them.
     ///
     /// # Errors
     /// When the network fails or is not loaded.
@@ -116,6 +117,7 @@ impl Engines {
         &'a mut self,
         model: ModelId,
         planes: &BundlePlanes<'_>,
+        ground: Option<&Ground>,
     ) -> Result<Run<'a>, InferError> {
         let plane = self.layout.plane();
         match model {
@@ -126,7 +128,7 @@ impl Engines {
             }),
             #[cfg(feature = "model")]
             _ => {
-                let sequence = self.networks.begin(model, &self.layout, planes)?;
+                let sequence = self.networks.begin(model, &self.layout, planes, ground)?;
                 Ok(Run {
                     model,
                     plane,
@@ -135,7 +137,7 @@ impl Engines {
             }
             #[cfg(not(feature = "model"))]
             _ => {
-                let _ = planes;
+                let _ = (planes, ground);
                 Err(InferError::Missing {
                     model,
                     reason: "this program was built without networks",
@@ -177,7 +179,7 @@ impl Engines {
             // The first round warms caches and pages, the second counts.
             for _ in 0..2 {
                 let start = now_ns();
-                let mut run = self.begin(model, &planes)?;
+                let mut run = self.begin(model, &planes, None)?;
                 let begun = now_ns();
                 run.step(&planes, 0, &mut depth, &mut trust)?;
                 rung.begin_ns = begun - start;

@@ -6,6 +6,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use candle_core::{Device, Tensor};
+use noctule_depth::Ground;
 use noctule_erunet::{Network, Norms, Plan, PlanOptions, Sequence, Weights};
 use noctule_kernels::{Isa, Precision};
 
@@ -102,6 +103,7 @@ impl Networks {
         model: ModelId,
         layout: &BundleLayout,
         planes: &BundlePlanes<'_>,
+        ground: Option<&Ground>,
     ) -> Result<NetworkRun<'a>, InferError> {
         let reason = "no weights are loaded (see [infer.weights])";
         let loaded = self
@@ -110,14 +112,17 @@ impl Networks {
             .ok_or(InferError::Missing { model, reason })?;
         let state = match loaded {
             Loaded::Plan(plan) => {
-                plan.begin(planes.image).map_err(failed(model))?;
+                plan.begin(planes.image, ground).map_err(failed(model))?;
                 State::Plan(plan)
             }
             Loaded::Candle(network) => {
                 let shape = (1, 3, layout.height, layout.width);
                 let blur = Tensor::from_slice(planes.image, shape, network.device());
                 let blur = blur.map_err(failed(model))?;
-                State::Candle(network.begin(&blur).map_err(failed(model))?, network)
+                State::Candle(
+                    network.begin(&blur, ground).map_err(failed(model))?,
+                    network,
+                )
             }
         };
         Ok(NetworkRun {

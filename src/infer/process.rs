@@ -123,7 +123,8 @@ impl<S: Service> Process<'_, S> {
             started_ns: (self.now_ns)(),
         };
         self.report.model(model.name()).sequences += 1;
-        let mut run = engines.begin(model, &planes)?;
+        let ground = header.ground();
+        let mut run = engines.begin(model, &planes, ground.as_ref())?;
         let begun_ns = (self.now_ns)();
         let mut previous_ns = begun_ns;
         let mut slowest_ns = 0;
@@ -139,7 +140,7 @@ impl<S: Service> Process<'_, S> {
                     }
                     flags |= flag::STEPPED_DOWN;
                     drop(run);
-                    run = engines.begin(cheaper, &planes)?;
+                    run = engines.begin(cheaper, &planes, ground.as_ref())?;
                 }
                 Pace::End => {
                     self.report.sequences_ended_early += 1;

@@ -39,7 +39,8 @@ pub enum Form {
     /// return's depth out.
     Residual,
     /// As [`Residual`](Self::Residual), and the network also sees how much nearer and how much
-    /// farther the returns around a pixel reach; it moves from the nearest return's depth towards
+    /// farther the returns around a pixel reach, and how far the ground lies where that is known;
+    /// it moves from the nearest return's depth towards
     /// either before the factor applies.
     Choice,
 }
@@ -50,7 +51,7 @@ impl Form {
         match self {
             Self::Direct => 2,
             Self::Residual => 3,
-            Self::Choice => 5,
+            Self::Choice => 6,
         }
     }
 

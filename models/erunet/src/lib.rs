@@ -13,7 +13,7 @@
 //! let weights = Weights::initial(&config, 7, &Device::Cpu)?;
 //! let network = Network::new(&config, &weights, Norms::Fold)?;
 //! let zeros = |c: usize| Tensor::zeros((1, c, 16, 32), DType::F32, &Device::Cpu);
-//! let mut sequence = network.begin(&zeros(3)?)?;
+//! let mut sequence = network.begin(&zeros(3)?, None)?;
 //! let step = sequence.step(&zeros(5)?, &zeros(1)?)?;
 //! assert_eq!(step.depth.dims(), [1, 1, 16, 32]);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -49,6 +49,7 @@ pub use config::{
     COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, Form, SIDE_MULTIPLE, Variant, WIDTH_MAX,
 };
 pub use network::{Network, NetworkError, Outputs, slots};
+pub use noctule_depth::Ground;
 pub use params::{Init, Norms, Role, Slot};
 pub use parity::{
     DEPTH_GATE_M, FEATURE_GATE, ParityError, ParityReport, TensorParity, fixture_config, parity,

@@ -3,6 +3,7 @@
 //! For results as they become ready, step by step, see [`crate::Sequence`].
 
 use candle_core::{Device, Tensor};
+use noctule_depth::Ground;
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError, SIDE_MULTIPLE};
@@ -110,13 +111,18 @@ impl Network {
     }
 
     /// Starts one exposure (or a batch of them): `blur` `[B, 3, H, W]`, encoded values over 255;
-    /// for a network without restoration, the deblurred picture.
-    pub fn begin(&self, blur: &Tensor) -> Result<Sequence<'_>, NetworkError> {
-        Sequence::new(self, blur)
+    /// for a network without restoration, the deblurred picture. All exposures of a batch lie over
+    /// one ground; `None` where it is not known.
+    pub fn begin(
+        &self,
+        blur: &Tensor,
+        ground: Option<&Ground>,
+    ) -> Result<Sequence<'_>, NetworkError> {
+        Sequence::new(self, blur, ground)
     }
 
     /// Runs whole exposures with running statistics: `blur` `[B, 3, H, W]`, `voxel`
-    /// `[B, T, bins, H, W]` in -1 to 1, `sparse` `[B, T, 1, H, W]` in metres, 0 for no return.
+    /// `[B, T, bins, H, W]` in -1 to 1, `sparse` `[B, T, 1, H, W]` in metres, 0 for no return. The ground counts as not known.
     pub fn forward(
         &self,
         blur: &Tensor,

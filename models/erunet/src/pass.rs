@@ -1,8 +1,10 @@
-//! What one forward pass carries beside its tensors: which statistics normalise, and what to keep.
+//! What one forward pass carries beside its tensors: which statistics normalise, what to keep, and where
+//! the ground lies.
 
 use std::collections::BTreeMap;
 
 use candle_core::Tensor;
+use noctule_depth::Ground;
 
 /// Mean and variance of one batch normalisation's input, per channel.
 #[derive(Debug, Clone)]
@@ -21,6 +23,7 @@ pub struct Moments {
 pub struct Pass {
     features: Option<BTreeMap<String, Tensor>>,
     moments: Option<BTreeMap<String, Moments>>,
+    grounds: Vec<Option<Ground>>,
 }
 
 impl Pass {
@@ -33,16 +36,25 @@ impl Pass {
     pub fn tracing() -> Self {
         Self {
             features: Some(BTreeMap::new()),
-            moments: None,
+            ..Self::default()
         }
     }
 
     /// Statistics of the batch itself, which are collected by name (stage 2 of the training).
     pub fn training() -> Self {
         Self {
-            features: None,
             moments: Some(BTreeMap::new()),
+            ..Self::default()
         }
+    }
+
+    /// From now on over this ground, one for each exposure of the batch; `None` where it is not known.
+    pub fn stand_over(&mut self, grounds: Vec<Option<Ground>>) {
+        self.grounds = grounds;
+    }
+
+    pub(crate) fn grounds(&self) -> &[Option<Ground>] {
+        &self.grounds
     }
 
     /// The features kept so far, by the oracle's names (`F_static`, `F_dyn.0`, `C.0`, ...).

@@ -5,7 +5,7 @@
 //! learned it equals nearest-neighbour completion.
 
 use candle_core::{Device, Result, Tensor};
-use noctule_depth::{Completer, SizeError, Surround};
+use noctule_depth::{Completer, Ground, SizeError, Surround};
 use rayon::prelude::*;
 
 use crate::config::Form;
@@ -25,6 +25,8 @@ pub const SURROUND_PX: usize = 12;
 pub(crate) const DROP: usize = 3;
 /// The plane that says how much farther the farthest of them is.
 pub(crate) const RISE: usize = 4;
+/// The plane that says how much farther than that return the ground lies, if it is known.
+const GROUND: usize = 5;
 
 /// Completes maps of one size; allocates once.
 pub(crate) struct Prefill {
@@ -38,6 +40,8 @@ struct Around {
     surround: Surround,
     /// Logarithm of each return's depth; no number where there is none.
     logarithm: Vec<f32>,
+    /// Logarithm of the ground's depth; empty where the ground is unknown.
+    ground: Vec<f32>,
 }
 
 impl Prefill {
@@ -48,6 +52,7 @@ impl Prefill {
                 Surround::new(width, height, SURROUND_PX).map(|surround| Around {
                     surround,
                     logarithm: vec![0.0; height * width],
+                    ground: Vec::with_capacity(height * width),
                 })
             })
             .transpose()
@@ -59,9 +64,16 @@ impl Prefill {
         })
     }
 
+    /// From now on the ground lies there; `None` where nobody knows.
+    pub(crate) fn stand_on(&mut self, ground: Option<&Ground>, width: usize) {
+        if let Some(around) = &mut self.around {
+            around.stand_on(ground, width);
+        }
+    }
+
     /// From `sparse` `[H, W]` in metres, 0 for no return: `nearest` `[H, W]` in metres, and `seen`
-    /// `[3 or 5, H, W]`: the nearest over the range, 1 at a return, `exp(-distance / 8 px)`, and
-    /// in the form that chooses [`DROP`] and [`RISE`].
+    /// `[3 or 6, H, W]`: the nearest over the range, 1 at a return, `exp(-distance / 8 px)`, and
+    /// in the form that chooses [`DROP`], [`RISE`] and [`GROUND`].
     pub(crate) fn fill(
         &mut self,
         sparse: &[f32],
@@ -69,7 +81,7 @@ impl Prefill {
         seen: &mut [f32],
     ) -> Result<()> {
         let area = nearest.len();
-        let planes = if self.around.is_some() { 5 } else { 3 };
+        let planes = if self.around.is_some() { 6 } else { 3 };
         if seen.len() != planes * area {
             candle_core::bail!("{} values for {planes} planes of {area}", seen.len());
         }
@@ -87,12 +99,16 @@ impl Prefill {
             // Confidence is exactly one at a return and nowhere else.
             *mask = f32::from(u8::from(*trust == 1.0));
         }
-        match &mut self.around {
-            Some(around) if any => {
+        if let Some(around) = &mut self.around {
+            let (limits, below) = limits.split_at_mut((GROUND - DROP) * area);
+            if any {
                 let found = around.reach(&self.completer, sparse, share, limits);
                 found.map_err(candle_core::Error::wrap)?;
+            } else {
+                limits.fill(0.0);
+                share.fill((self.range_m * FALLBACK_SHARE).ln());
             }
-            _ => limits.fill(0.0),
+            around.below(share, below);
         }
         for (share, nearest) in share.iter_mut().zip(&*nearest) {
             *share = nearest / self.range_m;
@@ -102,7 +118,31 @@ impl Prefill {
 }
 
 impl Around {
-    /// [`DROP`] and [`RISE`] into `limits`; `aside` is overwritten.
+    fn stand_on(&mut self, ground: Option<&Ground>, width: usize) {
+        self.ground.clear();
+        let Some(ground) = ground else {
+            return;
+        };
+        for cell in 0..self.logarithm.len() {
+            let (column, row) = ((cell % width) as f32, (cell / width) as f32);
+            let inverse = ground.inverse_depth(column, row).max(f32::MIN_POSITIVE);
+            self.ground.push(-inverse.ln());
+        }
+    }
+
+    /// [`GROUND`], where `own` is the logarithm of the nearest return's depth.
+    fn below(&self, own: &[f32], below: &mut [f32]) {
+        if self.ground.is_empty() {
+            below.fill(0.0);
+            return;
+        }
+        for ((below, ground), own) in below.iter_mut().zip(&self.ground).zip(own) {
+            *below = (ground - own).clamp(-LOG_SPAN, LOG_SPAN);
+        }
+    }
+
+    /// [`DROP`] and [`RISE`] into `limits`, and into `aside` the logarithm of the nearest return's
+    /// depth.
     fn reach(
         &mut self,
         completer: &Completer,
@@ -126,11 +166,13 @@ impl Around {
     }
 }
 
-/// What the depth encoder sees of a batch, `[N, 3 or 5, H, W]`, and the nearest returns
-/// `[N, 1, H, W]` in metres, on `device`, from `sparse` `[N, 1, H, W]` on any. Computed on the
-/// processor; no gradient passes.
+/// What the depth encoder sees of a batch, `[N, 3 or 6, H, W]`, and the nearest returns
+/// `[N, 1, H, W]` in metres, on `device`, from `sparse` `[N, 1, H, W]` on any. Each of `grounds` is
+/// that of an equal run of maps; none means nowhere known. Computed on the processor; no gradient
+/// passes.
 pub(crate) fn prefill(
     sparse: &Tensor,
+    grounds: &[Option<Ground>],
     form: Form,
     range_m: f32,
     device: &Device,
@@ -140,12 +182,20 @@ pub(crate) fn prefill(
     let values: Vec<f32> = sparse.flatten_all()?.to_vec1()?;
     let mut nearest = vec![0.0; n * area];
     let mut seen = vec![0.0; planes * n * area];
+    if !grounds.is_empty() && !n.is_multiple_of(grounds.len()) {
+        candle_core::bail!("{} grounds for {n} maps", grounds.len());
+    }
+    let of_map = |map: usize| grounds.get(map * grounds.len() / n)?.as_ref();
     let maps = values.par_chunks(area).zip(nearest.par_chunks_mut(area));
     maps.zip(seen.par_chunks_mut(planes * area))
+        .enumerate()
         .try_for_each_init(
             || Prefill::new(form, h, w, range_m),
-            |prefill, ((sparse, nearest), seen)| match prefill {
-                Ok(prefill) => prefill.fill(sparse, nearest, seen),
+            |prefill, (map, ((sparse, nearest), seen))| match prefill {
+                Ok(prefill) => {
+                    prefill.stand_on(of_map(map), w);
+                    prefill.fill(sparse, nearest, seen)
+                }
                 Err(error) => candle_core::bail!("{error}"),
             },
         )?;
@@ -164,7 +214,7 @@ mod tests {
         let mut sparse = vec![0.0_f32; 12];
         (sparse[0], sparse[11]) = (10.0, 40.0);
         let sparse = Tensor::from_vec(sparse, (1, 1, 3, 4), &Device::Cpu).unwrap();
-        let (seen, nearest) = prefill(&sparse, Form::Residual, 80.0, &Device::Cpu).unwrap();
+        let (seen, nearest) = prefill(&sparse, &[], Form::Residual, 80.0, &Device::Cpu).unwrap();
         let nearest: Vec<f32> = nearest.flatten_all().unwrap().to_vec1().unwrap();
         assert_eq!(
             nearest,
@@ -181,7 +231,7 @@ mod tests {
     #[test]
     fn without_a_return_a_middling_depth_with_no_trust_stands_in() {
         let sparse = Tensor::zeros((2, 1, 2, 2), candle_core::DType::F32, &Device::Cpu).unwrap();
-        let (seen, nearest) = prefill(&sparse, Form::Residual, 80.0, &Device::Cpu).unwrap();
+        let (seen, nearest) = prefill(&sparse, &[], Form::Residual, 80.0, &Device::Cpu).unwrap();
         let nearest: Vec<f32> = nearest.flatten_all().unwrap().to_vec1().unwrap();
         assert_eq!(nearest, [10.0; 8]);
         let seen: Vec<f32> = seen.flatten_all().unwrap().to_vec1().unwrap();
@@ -195,7 +245,7 @@ mod tests {
         let mut sparse = vec![0.0_f32; width * height];
         (sparse[0], sparse[10], sparse[36]) = (10.0, 40.0, 5.0);
         let sparse = Tensor::from_vec(sparse, (1, 1, height, width), &Device::Cpu).unwrap();
-        let (seen, _) = prefill(&sparse, Form::Choice, 80.0, &Device::Cpu).unwrap();
+        let (seen, _) = prefill(&sparse, &[], Form::Choice, 80.0, &Device::Cpu).unwrap();
         let seen: Vec<f32> = seen.flatten_all().unwrap().to_vec1().unwrap();
         let at = |plane: usize, x: usize, y: usize| seen[(plane * height + y) * width + x];
         let four = 4.0_f32.ln();
@@ -226,8 +276,45 @@ mod tests {
             "40 is 14 away"
         );
         let none = Tensor::zeros((1, 1, 16, 16), candle_core::DType::F32, &Device::Cpu).unwrap();
-        let (seen, _) = prefill(&none, Form::Choice, 80.0, &Device::Cpu).unwrap();
+        let (seen, _) = prefill(&none, &[], Form::Choice, 80.0, &Device::Cpu).unwrap();
         let seen: Vec<f32> = seen.flatten_all().unwrap().to_vec1().unwrap();
-        assert!(seen[DROP * 256..].iter().all(|&limit| limit == 0.0));
+        assert!(
+            seen[DROP * 256..GROUND * 256]
+                .iter()
+                .all(|&limit| limit == 0.0)
+        );
+    }
+
+    #[test]
+    fn the_ground_is_told_against_the_nearest_return() {
+        let (width, height) = (4, 4);
+        let mut sparse = vec![0.0_f32; 2 * width * height];
+        sparse[width * height] = 5.0; // in the second map alone
+        let sparse = Tensor::from_vec(sparse, (2, 1, height, width), &Device::Cpu).unwrap();
+        // At 10 m in row 2, at 5 m in row 3, the horizon in row 1.
+        let ground = Ground {
+            per_column: 0.0,
+            per_row: 0.1,
+            first: -0.1,
+        };
+        let told = |grounds: &[Option<Ground>]| -> Vec<f32> {
+            let (seen, _) = prefill(&sparse, grounds, Form::Choice, 80.0, &Device::Cpu).unwrap();
+            let rows = seen.narrow(1, GROUND, 1).unwrap().narrow(3, 1, 1).unwrap();
+            rows.flatten_all().unwrap().to_vec1().unwrap()
+        };
+        let close = |found: &[f32], wanted: [f32; 4]| {
+            let is_close = found.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-5);
+            assert!(is_close, "{found:?}, wanted {wanted:?}");
+        };
+        let both = told(&[Some(ground)]);
+        // Without a return an eighth of the range stands in.
+        close(&both[..4], [LOG_SPAN, LOG_SPAN, 0.0, -(2.0_f32.ln())]);
+        close(&both[4..], [LOG_SPAN, LOG_SPAN, 2.0_f32.ln(), 0.0]);
+        let second = told(&[None, Some(ground)]);
+        close(&second[..4], [0.0; 4]);
+        close(&second[4..], [LOG_SPAN, LOG_SPAN, 2.0_f32.ln(), 0.0]);
+        close(&told(&[])[4..], [0.0; 4]);
+        let odd = [Some(ground), None, None];
+        assert!(prefill(&sparse, &odd, Form::Choice, 80.0, &Device::Cpu).is_err());
     }
 }

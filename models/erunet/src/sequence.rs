@@ -1,6 +1,7 @@
 //! One exposure in the making: each depth map is there as soon as its step is done.
 
 use candle_core::Tensor;
+use noctule_depth::Ground;
 
 use crate::network::{Network, NetworkError, check_shape};
 use crate::pass::Pass;
@@ -23,10 +24,15 @@ pub struct Sequence<'a> {
     previous: Option<Tensor>,
     done: usize,
     size: (usize, usize, usize),
+    ground: Option<Ground>,
 }
 
 impl<'a> Sequence<'a> {
-    pub(crate) fn new(network: &'a Network, blur: &Tensor) -> Result<Self, NetworkError> {
+    pub(crate) fn new(
+        network: &'a Network,
+        blur: &Tensor,
+        ground: Option<&Ground>,
+    ) -> Result<Self, NetworkError> {
         let size = network.check_blur(blur)?;
         let still = network.appearance(blur, &mut Pass::plain())?;
         Ok(Self {
@@ -35,6 +41,7 @@ impl<'a> Sequence<'a> {
             previous: None,
             done: 0,
             size,
+            ground: ground.copied(),
         })
     }
 
@@ -51,6 +58,7 @@ impl<'a> Sequence<'a> {
         check_shape("voxel", voxel, &[b, config.bins, h, w])?;
         check_shape("sparse", sparse, &[b, 1, h, w])?;
         let mut pass = Pass::plain();
+        pass.stand_over(vec![self.ground]);
         let clear = self.network.restore_step(
             &self.still,
             self.previous.as_ref(),

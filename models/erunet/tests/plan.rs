@@ -3,9 +3,16 @@
 
 use candle_core::{Device, Tensor};
 use noctule_erunet::{
-    Config, Form, Network, Norms, Plan, PlanError, PlanOptions, Variant, Weights,
+    Config, Form, Ground, Network, Norms, Plan, PlanError, PlanOptions, Variant, Weights,
 };
 use noctule_kernels::{Isa, Precision};
+
+/// Level ground seen from 1.5 m.
+const GROUND: Option<Ground> = Some(Ground {
+    per_column: 0.0,
+    per_row: 0.01,
+    first: -0.3,
+});
 
 /// One exposure's inputs, planes as the plan takes them.
 struct Exposure {
@@ -97,7 +104,7 @@ fn by_candle(config: &Config, weights: &Weights, x: &Exposure) -> Maps {
     let tensor = |values: &[f32], channels| {
         Tensor::from_slice(values, (1, channels, x.height, x.width), &Device::Cpu).unwrap()
     };
-    let mut sequence = network.begin(&tensor(&x.blur, 3)).unwrap();
+    let mut sequence = network.begin(&tensor(&x.blur, 3), GROUND.as_ref()).unwrap();
     let flat = |t: Tensor| t.flatten_all().unwrap().to_vec1().unwrap();
     x.voxels
         .iter()
@@ -112,7 +119,7 @@ fn by_candle(config: &Config, weights: &Weights, x: &Exposure) -> Maps {
 }
 
 fn by_plan(plan: &mut Plan, x: &Exposure) -> Maps {
-    plan.begin(&x.blur).unwrap();
+    plan.begin(&x.blur, GROUND.as_ref()).unwrap();
     let area = x.height * x.width;
     x.voxels
         .iter()
@@ -258,9 +265,9 @@ fn steps_repeat_bit_for_bit_and_refusals_leave_the_exposure_alone() {
     let mut shared = Plan::new(&config, &weights, 32, 48, options(3)).unwrap();
     assert!(by_plan(&mut shared, &x) == first);
 
-    let short = plan.begin(&x.blur[1..]).unwrap_err();
+    let short = plan.begin(&x.blur[1..], GROUND.as_ref()).unwrap_err();
     assert_eq!(short.to_string(), "input 0 has 4607 values, wanted 4608");
-    plan.begin(&x.blur).unwrap();
+    plan.begin(&x.blur, GROUND.as_ref()).unwrap();
     assert!(
         plan.step(&x.voxels[0], &[], &mut depth, &mut trust)
             .is_err()

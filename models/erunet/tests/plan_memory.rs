@@ -5,7 +5,14 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use candle_core::Device;
-use noctule_erunet::{Config, Plan, PlanOptions, Weights};
+use noctule_erunet::{Config, Ground, Plan, PlanOptions, Weights};
+
+/// Level ground seen from 1.5 m.
+const GROUND: Option<Ground> = Some(Ground {
+    per_column: 0.0,
+    per_row: 0.01,
+    first: -0.3,
+});
 
 static ALLOCATIONS: AtomicUsize = AtomicUsize::new(0);
 
@@ -42,7 +49,7 @@ fn exposures_allocate_nothing() {
     let (blur, voxel, sparse) = (vec![0.5; 3 * area], vec![0.1; 5 * area], vec![3.0; area]);
     let (mut depth, mut trust) = (vec![0.0; area], vec![0.0; area]);
     let mut exposure = || {
-        plan.begin(&blur).unwrap();
+        plan.begin(&blur, GROUND.as_ref()).unwrap();
         for _ in 0..config.steps {
             plan.step(&voxel, &sparse, &mut depth, &mut trust).unwrap();
         }

@@ -45,7 +45,7 @@ fn values(tensor: &Tensor) -> Vec<f32> {
 }
 
 fn steps(network: &Network, input: &Exposure) -> Vec<Step> {
-    let mut sequence = network.begin(&input.blur).unwrap();
+    let mut sequence = network.begin(&input.blur, None).unwrap();
     (0..network.config().steps)
         .map(|t| {
             let at = |x: &Tensor| x.narrow(1, t, 1).unwrap().squeeze(1).unwrap();
@@ -179,16 +179,16 @@ fn inputs_of_the_wrong_shape_are_named_and_change_nothing() {
     let error = |result: Result<(), NetworkError>| result.unwrap_err().to_string();
     let odd = pattern(&[1, 3, 32, 40], 0.0, 1.0);
     assert_eq!(
-        error(network.begin(&odd).map(|_| ())),
+        error(network.begin(&odd, None).map(|_| ())),
         format!(
             "blur has shape [1, 3, 32, 40], wanted [B, 3, H, W] with H and W multiples of \
              {SIDE_MULTIPLE}"
         )
     );
     let grey = pattern(&[1, 1, 32, 48], 0.0, 1.0);
-    assert!(network.begin(&grey).is_err());
+    assert!(network.begin(&grey, None).is_err());
 
-    let mut sequence = network.begin(&input.blur).unwrap();
+    let mut sequence = network.begin(&input.blur, None).unwrap();
     let voxel = pattern(&[1, 5, 32, 48], -1.0, 1.0);
     let sparse = pattern(&[1, 1, 32, 48], 0.0, 70.0);
     let small = pattern(&[1, 1, 32, 32], 0.0, 70.0);

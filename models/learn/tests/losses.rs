@@ -57,6 +57,7 @@ fn inputs(fixture: &Fixture) -> Inputs {
             event_grey: input("ev_gray"),
         }),
         first_step: 0,
+        grounds: Vec::new(),
     }
 }
 

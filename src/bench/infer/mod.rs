@@ -217,7 +217,7 @@ fn by_candle(
     let tensor = |values: &[f32], channels: usize| {
         Tensor::from_slice(values, (1, channels, size, size), &Device::Cpu)
     };
-    let mut sequence = network.begin(&tensor(&exposure.blur, 3)?)?;
+    let mut sequence = network.begin(&tensor(&exposure.blur, 3)?, exposure.ground.as_ref())?;
     let steps = exposure.steps().map(|(voxel, sparse)| {
         let step = sequence.step(&tensor(voxel, config.bins)?, &tensor(sparse, 1)?)?;
         Ok(step.depth.flatten_all()?.to_vec1()?)
@@ -239,7 +239,7 @@ impl Exposure {
         let mut trust = vec![0.0; area];
         let started = Instant::now();
         let mut first = None;
-        plan.begin(&self.blur)?;
+        plan.begin(&self.blur, self.ground.as_ref())?;
         for ((voxel, sparse), depth) in self.steps().zip(maps) {
             plan.step(voxel, sparse, depth, &mut trust)?;
             first.get_or_insert_with(|| started.elapsed().as_secs_f64());

@@ -9,6 +9,7 @@ mod efr;
 mod profile;
 mod rdu;
 
+use noctule_depth::Ground;
 use noctule_kernels::{BuildError, Builder, Isa, Options, Passes, Precision, Program, RunError};
 use thiserror::Error;
 
@@ -124,6 +125,8 @@ struct Filled {
     prefill: Prefill,
     nearest: Vec<f32>,
     seen: Vec<f32>,
+    width: usize,
+    ground: Option<Ground>,
 }
 
 impl Filled {
@@ -136,7 +139,17 @@ impl Filled {
             prefill: Prefill::new(config.form, height, width, config.d_max as f32)?,
             nearest: vec![0.0; height * width],
             seen: vec![0.0; config.form.depth_channels() * height * width],
+            width,
+            ground: None,
         })
+    }
+
+    /// Costs nothing while the ground stays where it was.
+    fn stand_on(&mut self, ground: Option<&Ground>) {
+        if self.ground.as_ref() != ground {
+            self.ground = ground.copied();
+            self.prefill.stand_on(ground, self.width);
+        }
     }
 }
 
@@ -195,10 +208,16 @@ impl Plan {
 
     /// Starts an exposure: `blur` `[3, H, W]`, encoded values over 255; for a network without
     /// restoration, the deblurred picture. Drops the exposure before it, finished or not.
-    pub fn begin(&mut self, blur: &[f32]) -> Result<(), PlanError> {
+    ///
+    /// `ground` says where level ground lies in the picture, where that is known; it holds for the
+    /// steps of this exposure.
+    pub fn begin(&mut self, blur: &[f32], ground: Option<&Ground>) -> Result<(), PlanError> {
         let mut slices: [&[f32]; SLICES] = [&[]; SLICES];
         slices[BLUR] = blur;
         self.program.run(BEGIN, 0, &slices, &mut [])?;
+        if let Some(filled) = &mut self.filled {
+            filled.stand_on(ground);
+        }
         self.done = Some(0);
         Ok(())
     }
@@ -228,6 +247,7 @@ impl Plan {
                 prefill,
                 nearest,
                 seen,
+                ..
             } = filled;
             prefill.fill(sparse, nearest, seen)?;
             (slices[SPARSE], slices[NEAREST]) = (&*seen, &*nearest);

@@ -12,6 +12,8 @@ mod pyramid;
 
 use candle_core::{Device, Result, Tensor};
 
+use noctule_depth::Ground;
+
 pub(crate) use atoms::{bank, bank_size};
 
 use crate::blocks::{ConvBn, ResDs, leaky_relu};
@@ -84,7 +86,7 @@ impl Rdu {
         pass: &mut Pass,
     ) -> Result<(Tensor, Tensor)> {
         let guidance = self.guidance(clear, voxel, pass)?;
-        let (seen, nearest) = self.seen(sparse, clear.device())?;
+        let (seen, nearest) = self.seen(sparse, pass.grounds(), clear.device())?;
         let depth = self.depth.forward(&seen, pass)?;
         let joined = Tensor::cat(&[&depth[4], &guidance[4]], 1)?;
         let mut x = self
@@ -110,13 +112,18 @@ impl Rdu {
         Ok((depth, confidence))
     }
 
-    /// What the depth encoder sees, `[N, 2 to 5, H, W]`, and what the output is a factor on.
+    /// What the depth encoder sees, `[N, 2 to 6, H, W]`, and what the output is a factor on.
     // A depth range in double precision would not outlive its first rounding.
     #[allow(
         clippy::cast_possible_truncation,
         reason = "metres in single precision"
     )]
-    fn seen(&self, sparse: &Tensor, device: &Device) -> Result<(Tensor, Option<Tensor>)> {
+    fn seen(
+        &self,
+        sparse: &Tensor,
+        grounds: &[Option<Ground>],
+        device: &Device,
+    ) -> Result<(Tensor, Option<Tensor>)> {
         match self.form {
             Form::Direct => {
                 let returned = sparse.gt(0f32)?.to_dtype(sparse.dtype())?;
@@ -124,7 +131,8 @@ impl Rdu {
                 Ok((seen.to_device(device)?, None))
             }
             Form::Residual | Form::Choice => {
-                let (seen, nearest) = prefill(sparse, self.form, self.d_max as f32, device)?;
+                let (seen, nearest) =
+                    prefill(sparse, grounds, self.form, self.d_max as f32, device)?;
                 Ok((seen, Some(nearest)))
             }
         }

@@ -9,6 +9,7 @@
 
 use std::ops::Range;
 
+use noctule_depth::Ground;
 use noctule_raster::PackedEvent;
 
 /// Which square is taken, and how it is laid on the cut.
@@ -53,6 +54,17 @@ impl Crop {
     fn columns(&self) -> Vec<usize> {
         let column = |x| self.x0 + self.nearest(self.column(x));
         (0..self.side).map(column).collect()
+    }
+
+    /// The example's ground in the cut's own pixels.
+    pub(super) fn ground(&self, ground: &Ground) -> Ground {
+        let cut = ground.cut(self.x0, self.y0);
+        let cut = cut.enlarged(self.side as f64 / self.span as f64);
+        if self.flip {
+            cut.mirrored(self.side)
+        } else {
+            cut
+        }
     }
 
     /// Planes of `size` by `size`, cut by the nearest pixel.
@@ -227,6 +239,21 @@ mod tests {
             let field: Vec<f32> = (1..=SIZE * SIZE).map(|i| i as f32).collect();
             let map = crop.planes(&field, SIZE, |v| v);
             let points = crop.points(&field, SIZE);
+            let ground = Ground {
+                per_column: 0.01,
+                per_row: 0.1,
+                first: -1.0,
+            };
+            let seen = crop.ground(&ground);
+            for (cell, source) in map.iter().enumerate() {
+                let (x, y) = (cell % crop.side, cell / crop.side);
+                let source = *source as usize - 1;
+                let wanted = ground.inverse_depth((source % SIZE) as f32, (source / SIZE) as f32);
+                let found = seen.inverse_depth(x as f32, y as f32);
+                // Half a pixel off, at most, where pixels are repeated.
+                let off = if crop.is_enlarged() { 0.056 } else { 1e-5 };
+                prop_assert!((found - wanted).abs() <= off, "{found} and {wanted} at {x}, {y}");
+            }
             prop_assert_eq!(points.iter().filter(|v| **v > 0.0).count(), crop.span * crop.span);
             prop_assert!(points.iter().zip(&map).all(|(p, m)| *p == 0.0 || p == m));
             let all: Vec<PackedEvent> = (0..SIZE * SIZE)

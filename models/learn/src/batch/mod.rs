@@ -12,6 +12,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use candle_core::{Device, Tensor};
+use noctule_depth::Ground;
 use noctule_raster::{BINS, RasterError};
 use noctule_world::STEPS;
 use safetensors::Dtype;
@@ -55,6 +56,8 @@ pub struct Batch {
     pub side: usize,
     /// First step and number of steps.
     pub window: (usize, usize),
+    /// Where level ground lies in each, where that is known.
+    pub grounds: Vec<Option<Ground>>,
     fields: Piece,
 }
 
@@ -77,6 +80,8 @@ pub struct Inputs {
     pub pictures: Option<Pictures>,
     /// The step of the exposure that `n` counts from.
     pub first_step: usize,
+    /// Where level ground lies in each of the batch, where that is known.
+    pub grounds: Vec<Option<Ground>>,
 }
 
 /// What restoration is held to.
@@ -120,6 +125,7 @@ impl Batch {
             movers: given(&fields.movers)?,
             pictures,
             first_step: self.window.0,
+            grounds: self.grounds.clone(),
         })
     }
 
@@ -223,6 +229,7 @@ impl Batch {
             places: vec![(example.origin.letter(), example.seed)],
             side: example.size,
             window: (0, STEPS),
+            grounds: vec![example.ground],
             fields: cutter.cut(example, &cut, wanted, &mut Chance::of(&[]))?,
         })
     }
@@ -274,6 +281,7 @@ impl Recipe {
             places: Vec::with_capacity(self.stage.batch),
             side: self.stage.crop,
             window: (first, length),
+            grounds: Vec::with_capacity(self.stage.batch),
             fields: Piece::default(),
         };
         for (place, index) in (0..).zip(order.of_batch(number)) {
@@ -287,6 +295,9 @@ impl Recipe {
             );
             let example = self.examples.read(index, wanted.pictures.is_some())?;
             batch.places.push((example.origin.letter(), example.seed));
+            batch
+                .grounds
+                .push(example.ground.map(|g| cut.crop.ground(&g)));
             batch.append(cutter.cut(&example, &cut, wanted, &mut chance)?);
         }
         Ok(batch)

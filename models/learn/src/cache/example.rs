@@ -1,7 +1,8 @@
 //! One exposure as training and evaluation use it: what the sensors saw, and the truth.
 
+use noctule_depth::Ground;
 use noctule_raster::{PackedEvent, RasterError};
-use noctule_world::{STEPS, Sample, Tier};
+use noctule_world::{CAMERA_HEIGHT_M, Optics, STEPS, Sample, Tier};
 
 /// Where an example comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -36,6 +37,8 @@ pub struct Example {
     pub size: usize,
     /// Length of the exposure, whole microseconds.
     pub exposure_us: u32,
+    /// Where level ground lies in the picture, where that is known.
+    pub ground: Option<Ground>,
     /// The long exposure, `[3, H, W]`, gamma 1/2.2 (real drives: sRGB), 8 bit.
     pub blur: Vec<u8>,
     /// Events in order; times are microseconds since the shutter opened.
@@ -51,6 +54,14 @@ pub struct Example {
     pub movers: Vec<bool>,
     /// Whether something is narrower than 0.3 m, `[T, H, W]`.
     pub thin: Vec<bool>,
+}
+
+/// The ground of every rendered night, in a picture of `size` by `size` pixels.
+pub(super) fn night_ground(size: usize) -> Option<Ground> {
+    let optics = Optics::new(size);
+    let [height, focal, horizon] =
+        [CAMERA_HEIGHT_M, optics.focal_px, optics.centre_px].map(f64::from);
+    Ground::level(height, focal, horizon)
 }
 
 /// Steps of depth truth in a metre.
@@ -97,6 +108,7 @@ impl Example {
             origin: Origin::Night(tier),
             size: sample.size,
             exposure_us: width_us as u32,
+            ground: night_ground(sample.size),
             blur: sample.blur.clone(),
             events,
             sparse: sample.sparse.clone(),

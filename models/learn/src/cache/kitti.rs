@@ -90,9 +90,10 @@ impl KittiClips {
             let frames = found.frames_of(&drive)?;
             let first = frames.first().map(|frames| drive.scan(frames.first));
             let about = format!(
-                "{} {:?} {:?} {:?}",
+                "{} {:?} {:?} {:?} {:?}",
                 drive.name(),
                 drive.calibration(),
+                drive.calibration().ground(),
                 frames,
                 first.transpose()?
             );
@@ -216,6 +217,11 @@ impl KittiClips {
                         origin: Origin::Kitti,
                         size: side,
                         exposure_us: exposed.exposure_us,
+                        ground: clip
+                            .drive
+                            .calibration()
+                            .ground()
+                            .map(|g| g.cut(x, scene.top)),
                         blur: exposed.blur.clone(),
                         events: exposed.events.clone(),
                         sparse,
@@ -241,6 +247,8 @@ struct Scene {
     footage: Footage,
     /// Rows of the footage above the squares.
     above: usize,
+    /// First row of the squares.
+    top: usize,
     /// Frames of the footage before the first.
     before: u32,
     /// Of each frame, for each phase: what is given and what is truth.
@@ -306,6 +314,7 @@ impl Scene {
             square: whole(side, side)?,
             footage: footage.map_err(|e| fault(e.to_string()))?,
             above: y - top,
+            top: y,
             before,
             depth: depth.collect::<Result<_, CacheError>>()?,
         })

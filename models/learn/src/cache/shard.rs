@@ -6,6 +6,7 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
+use noctule_depth::Ground;
 use noctule_raster::PackedEvent;
 use noctule_world::STEPS;
 use safetensors::Dtype;
@@ -13,7 +14,7 @@ use safetensors::tensor::{Metadata, TensorView};
 
 use super::codec;
 use super::error::CacheError;
-use super::example::{Example, Origin};
+use super::example::{Example, Origin, night_ground};
 
 /// Longest header read, bytes; a shard's is a few kilobytes.
 const HEADER_BYTES_MAX: u64 = 1 << 20;
@@ -41,6 +42,11 @@ pub(super) fn write(path: &Path, examples: &[Example]) -> Result<(), CacheError>
         field("return_depth_m", Dtype::F32, vec![depths.len() / 4], depths);
         let width = example.exposure_us.to_le_bytes().to_vec();
         field("exposure_us", Dtype::U32, vec![1], width);
+        if let (Origin::Kitti, Some(ground)) = (example.origin, &example.ground) {
+            let numbers = [ground.per_column, ground.per_row, ground.first];
+            let bytes = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
+            field("ground", Dtype::F32, vec![3], bytes);
+        }
     }
     let fault = |e: safetensors::SafeTensorError| CacheError::Shard {
         path: path.into(),
@@ -200,6 +206,7 @@ impl Shard {
             exposure_us: *exposure_us
                 .first()
                 .ok_or_else(|| self.fault("exposure_us"))?,
+            ground: self.ground(&name("ground"))?,
             blur,
             events,
             sparse: self.sparse(&name("return_cell"), &name("return_depth_m"), STEPS * area)?,
@@ -208,6 +215,26 @@ impl Shard {
             movers: field("movers", codec::unpack_mask, STEPS * area)?,
             thin: field("thin", codec::unpack_mask, STEPS * area)?,
         })
+    }
+
+    /// Nights all have the same; real drives keep theirs.
+    fn ground(&self, name: &str) -> Result<Option<Ground>, CacheError> {
+        if self.origin != Origin::Kitti {
+            return Ok(night_ground(self.size));
+        }
+        if self.metadata.info(name).is_none() {
+            return Ok(None);
+        }
+        let &[per_column, per_row, first] = self.words(name)?.as_slice() else {
+            return Err(self.fault("ground"));
+        };
+        let [per_column, per_row, first] = [per_column, per_row, first].map(f32::from_bits);
+        let ground = Ground {
+            per_column,
+            per_row,
+            first,
+        };
+        Ok(Some(ground).filter(Ground::is_finite))
     }
 
     fn sparse(&self, cells: &str, depths: &str, len: usize) -> Result<Vec<f32>, CacheError> {

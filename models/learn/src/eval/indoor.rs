@@ -197,6 +197,7 @@ fn of_parts(name: &str, size: Size, blur: &[u8], voxel: Vec<f32>, depth: Vec<f32
         blur: blur.iter().map(|&code| f32::from(code) / 255.0).collect(),
         voxel,
         sparse,
+        ground: None,
         depth,
         movers: Vec::new(),
         thin: Vec::new(),

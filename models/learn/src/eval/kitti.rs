@@ -15,7 +15,7 @@
 
 use std::path::Path;
 
-use noctule_depth::{DepthImage, Size};
+use noctule_depth::{DepthImage, Ground, Size};
 use noctule_world::STEPS;
 
 use super::error::EvalError;
@@ -135,6 +135,7 @@ impl Scenes for KittiScenes {
                     name: drive.name(),
                     has: &|frame| drive.has_picture(frame),
                     read: &|frame| drive.picture(frame),
+                    ground: None,
                 };
                 let depth = |frame| Ok((drive.sparse(frame)?, drive.truth(frame)?));
                 moving(place.frames, square, index, &pictures, &depth)
@@ -146,6 +147,7 @@ impl Scenes for KittiScenes {
                     name: drive.name(),
                     has: &|frame| drive.pictures().binary_search(&frame).is_ok(),
                     read: &|frame| drive.picture(frame),
+                    ground: drive.calibration().ground(),
                 };
                 let size = drive.picture(place.frames.first)?;
                 let size = Size::new(size.width(), size.height())?;
@@ -161,6 +163,8 @@ struct Pictures<'a> {
     name: &'a str,
     has: &'a dyn Fn(u32) -> bool,
     read: &'a dyn Fn(u32) -> Result<noctule_depth::Canvas, ReadError>,
+    /// In whole pictures.
+    ground: Option<Ground>,
 }
 
 type Depth<'a> = &'a dyn Fn(u32) -> Result<(DepthImage, DepthImage), ReadError>;
@@ -241,6 +245,7 @@ fn moving(
         blur: encoded(&exposed.blur),
         voxel: voxel.map_err(|e| fault(e.to_string()))?,
         sparse,
+        ground: pictures.ground.map(|g| g.cut(window.x, window.y)),
         depth: truth,
         movers: Vec::new(),
         thin: Vec::new(),
@@ -284,6 +289,7 @@ fn selected(selection: &Selection, index: usize, square: usize) -> Result<Scene,
         blur: encoded(&planes),
         voxel: voxel.map_err(|e| fault(e.to_string()))?,
         sparse: part(&frame.sparse)?,
+        ground: frame.ground().map(|g| g.cut(window.x, window.y)),
         depth: part(truth)?,
         movers: Vec::new(),
         thin: Vec::new(),

@@ -214,11 +214,14 @@ pub(crate) fn complete(
 ) -> Result<Vec<f32>, PlanError> {
     let area = scene.size.pixels();
     let nothing = vec![0.0; BINS.max(3) * area];
-    plan.begin(if withheld.image {
-        &nothing[..3 * area]
-    } else {
-        &scene.blur
-    })?;
+    plan.begin(
+        if withheld.image {
+            &nothing[..3 * area]
+        } else {
+            &scene.blur
+        },
+        scene.ground.as_ref(),
+    )?;
     let (mut depth, mut confidence) = (vec![0.0; STEPS * area], vec![0.0; area]);
     for (step, map) in depth.chunks_exact_mut(area).enumerate() {
         let voxel = match withheld.events {

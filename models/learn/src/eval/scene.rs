@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use noctule_depth::Size;
+use noctule_depth::{Ground, Size};
 use noctule_raster::{BINS, Grid, PackedEvent, PixelMap, RasterError, Rescale, VoxelRaster};
 use noctule_world::{STEPS, Sample, Tier};
 
@@ -23,6 +23,8 @@ pub struct Scene {
     pub voxel: Vec<f32>,
     /// `[T, H, W]`, metres, 0 for no return.
     pub sparse: Vec<f32>,
+    /// Where level ground lies in the picture, where that is known.
+    pub ground: Option<Ground>,
     /// Truth, `[T, H, W]`, metres, 0 for none.
     pub depth: Vec<f32>,
     /// `[T, H, W]`; empty where unknown.
@@ -148,6 +150,7 @@ impl Scene {
             voxel: voxels(&example.events, example.exposure_us, size)
                 .map_err(|e| fault(e.to_string()))?,
             sparse: example.sparse.clone(),
+            ground: example.ground,
             depth: example.depth.clone(),
             movers: example.movers.clone(),
             thin: example.thin.clone(),

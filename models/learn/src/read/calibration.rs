@@ -2,8 +2,13 @@
 
 use std::path::Path;
 
+use noctule_depth::Ground;
+
 use super::error::ReadError;
 use super::files;
+
+/// How high the cameras stand above the road, metres (the recording car's drawing).
+pub(super) const CAMERA_HEIGHT_M: f64 = 1.65;
 
 /// One of the two colour cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -108,6 +113,12 @@ impl Calibration {
     pub fn pinhole(&self) -> [f64; 4] {
         let p = &self.projection;
         [p[0][0], p[1][1], p[0][2], p[1][2]]
+    }
+
+    /// Level ground in the rectified pictures, whose cameras all stand [`CAMERA_HEIGHT_M`] high.
+    pub fn ground(&self) -> Option<Ground> {
+        let [fx, fy, cx, cy] = self.pinhole();
+        Ground::beneath(CAMERA_HEIGHT_M, [0.0, 1.0, 0.0], [fx, fy], [cx, cy])
     }
 }
 

@@ -9,8 +9,9 @@
 
 use std::path::{Path, PathBuf};
 
-use noctule_depth::{Canvas, DepthImage, load_depth_png16};
+use noctule_depth::{Canvas, DepthImage, Ground, load_depth_png16};
 
+use super::calibration::CAMERA_HEIGHT_M;
 use super::error::ReadError;
 use super::files;
 
@@ -125,6 +126,14 @@ impl Selection {
             picture,
             pinhole: [k[0], k[4], k[2], k[5]],
         })
+    }
+}
+
+impl SelectedFrame {
+    /// Level ground in the picture.
+    pub fn ground(&self) -> Option<Ground> {
+        let [fx, fy, cx, cy] = self.pinhole;
+        Ground::beneath(CAMERA_HEIGHT_M, [0.0, 1.0, 0.0], [fx, fy], [cx, cy])
     }
 }
 

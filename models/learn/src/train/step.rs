@@ -40,6 +40,7 @@ pub fn batch_loss(
     pass: &mut Pass,
 ) -> Result<BatchLoss, TrainError> {
     let first = inputs.first_step;
+    pass.stand_over(inputs.grounds.clone());
     let clear = network.restore_window(&inputs.blur, &inputs.voxel, first, pass)?;
     let power = restored_power(&clear)?;
     let priced = |total: Tensor| total + (&power * weights.restored_power)?;
