@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread::JoinHandle;
 
-use super::cut::Cutter;
+use super::cutter::Cutter;
 use super::{Batch, BatchError, Recipe};
 
 /// Batches each thread keeps ready.

@@ -2,6 +2,8 @@
 
 mod crop;
 mod cut;
+mod cutter;
+mod integral;
 mod loader;
 mod order;
 mod pixels;
@@ -22,8 +24,9 @@ use thiserror::Error;
 use crate::cache::{CacheError, Example, Examples, write_whole};
 use crate::chance::Chance;
 use crate::settings::{Augment, Domain, Kind, Loss, Stage};
-use cut::{Cut, Cutter, Piece, Wanted};
+use cut::{Cut, Piece, Wanted};
 pub(crate) use cut::{GAMMA, GREY};
+use cutter::Cutter;
 pub use loader::Loader;
 use order::Order;
 

@@ -1,5 +1,6 @@
 //! What a training run is told: a TOML file, checked as a whole before anything starts.
 
+mod augment;
 mod check;
 
 use std::path::{Path, PathBuf};
@@ -9,6 +10,7 @@ use noctule_world::{STEPS, Tier};
 use serde::{Deserialize, Serialize};
 
 use crate::cache::Nights;
+pub use augment::Augment;
 pub use check::SettingsError;
 use check::number;
 
@@ -113,67 +115,6 @@ pub struct Drives {
     pub tier: String,
     /// First seed, and one past the last.
     pub seeds: [u64; 2],
-}
-
-/// Random changes to training examples; each is drawn anew for every example.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Augment {
-    /// Probability of exchanging left and right.
-    pub flip: f64,
-    /// Largest share of events lost.
-    pub event_drop_max: f64,
-    /// Largest number of made-up events per pixel and exposure.
-    pub event_noise_max: f64,
-    /// Largest share of LiDAR returns lost.
-    pub return_drop_max: f64,
-    /// Smallest and largest factor on the picture's light.
-    pub gain: [f64; 2],
-    /// Probability that a smaller square is taken and enlarged to the crop: another lens.
-    pub zoom: f64,
-    /// Largest factor of that, 1 to 8; depth stays what it is, returns lie thinner.
-    pub zoom_max: f64,
-    /// Largest factor on the event threshold, 1 to 16; events that so coarse a pixel would not
-    /// have fired are lost.
-    pub event_threshold_max: f64,
-    /// Largest time constant of an event pixel's low-pass at white, microseconds; longer in the
-    /// dark, up to twenty times. Comes on top of what the events were simulated with.
-    pub event_lag_us_max: f64,
-    /// Longest time that an event pixel is silent after an event, microseconds.
-    pub event_dead_us_max: f64,
-    /// Largest share of the LiDAR's rings lost: bands of six rows of the example, at all steps.
-    pub ring_drop_max: f64,
-    /// At most one ring in so many is kept, evenly: a LiDAR of fewer rings. 1 keeps all.
-    pub ring_stride_max: usize,
-    /// Largest standard deviation added to ranges, metres.
-    pub range_noise_m_max: f64,
-    /// Largest standard deviation of noise on the picture's light, white 1.
-    pub read_noise_max: f64,
-    /// Fewest bits of the picture's codes, 1 to 8.
-    pub picture_bits_min: u32,
-}
-
-impl Default for Augment {
-    /// Changes nothing.
-    fn default() -> Self {
-        Self {
-            flip: 0.0,
-            event_drop_max: 0.0,
-            event_noise_max: 0.0,
-            return_drop_max: 0.0,
-            gain: [1.0, 1.0],
-            zoom: 0.0,
-            zoom_max: 1.0,
-            event_threshold_max: 1.0,
-            event_lag_us_max: 0.0,
-            event_dead_us_max: 0.0,
-            ring_drop_max: 0.0,
-            ring_stride_max: 1,
-            range_noise_m_max: 0.0,
-            read_noise_max: 0.0,
-            picture_bits_min: 8,
-        }
-    }
 }
 
 /// Which numbers of a picture are averaged when it is blurred again (paper, eq. 9).

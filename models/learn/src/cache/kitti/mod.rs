@@ -3,12 +3,14 @@
 //! A shard holds one exposure's squares. Its path names what its content depends on: a fingerprint
 //! of the synthesis, of the drives' calibration and first scans, and of what was asked for.
 
+mod fingerprint;
+mod scene;
+
 use std::fmt::Write as _;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use noctule_depth::{Canvas, Size};
 use noctule_world::STEPS;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -18,19 +20,17 @@ use super::example::{Example, Origin};
 use super::shard::{self, Shard};
 use super::{Cache, Examples, Prepared};
 use crate::chance::Chance;
-use crate::clip::{
-    CLIP_SKIP, Frames, LONG, PERIOD_US, RING_STRIDE, exposures, rings_apart, scanned,
-};
-use crate::read::{ColourCamera, Drive, Window, is_validation_drive, raw_drives};
+use crate::clip::{CLIP_SKIP, Frames, LONG, RING_STRIDE, exposures, scanned};
+use crate::read::{ColourCamera, Drive, is_validation_drive, raw_drives};
 use crate::settings::KittiDrives;
-use crate::synth::{Footage, InBetween, Synthesis, expose};
+use crate::synth::{InBetween, Synthesis, expose};
+use fingerprint::fingerprint;
+use scene::Scene;
 
 /// Salt of columns and nights of the squares.
 const SQUARE: u64 = 0x006b_6974_7469;
 /// Squares of an exposure that is validated on, as evaluation has them.
 const VALIDATION_SQUARES: usize = 3;
-/// Rows above the squares from which flow is known too.
-const MARGIN: usize = 64;
 
 /// What real exposures are for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -238,138 +238,6 @@ impl KittiClips {
     }
 }
 
-/// One exposure's frames, in memory.
-struct Scene {
-    /// Of the pictures.
-    size: Size,
-    /// Of the squares.
-    square: Size,
-    footage: Footage,
-    /// Rows of the footage above the squares.
-    above: usize,
-    /// First row of the squares.
-    top: usize,
-    /// Frames of the footage before the first.
-    before: u32,
-    /// Of each frame, for each phase: what is given and what is truth.
-    depth: Vec<Vec<[Vec<f32>; 2]>>,
-}
-
-impl Scene {
-    fn read(
-        clips: &KittiClips,
-        clip: &Clip,
-        side: usize,
-        fault: &dyn Fn(String) -> CacheError,
-    ) -> Result<Self, CacheError> {
-        let (drive, frames) = (&clip.drive, clip.frames);
-        let has = |frame: u32| {
-            let [first, last] = clips.seen;
-            (first..=last).contains(&frame) && drive.pictures().binary_search(&frame).is_ok()
-        };
-        let before = u32::from(frames.first > 0 && has(frames.first - 1));
-        let after = u32::from(has(frames.end()));
-        let numbers = frames.first - before..frames.end() + after;
-        let pictures: Vec<Canvas> = numbers
-            .map(|frame| drive.picture(frame))
-            .collect::<Result<_, _>>()?;
-        let (width, height) = (pictures[0].width(), pictures[0].height());
-        let odd = |picture: &&Canvas| (picture.width(), picture.height()) != (width, height);
-        if let Some(odd) = pictures.iter().find(odd) {
-            let (w, h) = (odd.width(), odd.height());
-            return Err(fault(format!(
-                "pictures of {width}x{height} and {w}x{h} pixels"
-            )));
-        }
-        let room = || {
-            fault(format!(
-                "pictures of {width}x{height} have no room for {side}x{side}"
-            ))
-        };
-        let y = height
-            .checked_sub(side)
-            .filter(|_| width >= side)
-            .ok_or_else(room)?;
-        let top = y.saturating_sub(MARGIN);
-        let whole = |width, height| Size::new(width, height).map_err(|e| fault(e.to_string()));
-        let strip = Window {
-            x: 0,
-            y: top,
-            size: whole(width, height - top)?,
-        };
-        let parts: Option<Vec<Vec<u8>>> = pictures
-            .iter()
-            .map(|picture| strip.of_picture(picture))
-            .collect();
-        let parts = parts.ok_or_else(room)?;
-        let footage = Footage::from_srgb(parts.iter().map(Vec::as_slice), strip.size, PERIOD_US);
-        let size = whole(width, height)?;
-        let depth = (frames.first..frames.end()).map(|frame| {
-            let scan = drive.scan(frame)?;
-            let apart = |phase| rings_apart(&scan, drive.calibration(), size, phase);
-            Ok(clips.phases().map(apart).collect())
-        });
-        Ok(Self {
-            size,
-            square: whole(side, side)?,
-            footage: footage.map_err(|e| fault(e.to_string()))?,
-            above: y - top,
-            top: y,
-            before,
-            depth: depth.collect::<Result<_, CacheError>>()?,
-        })
-    }
-
-    /// First columns of the squares.
-    fn columns(&self, clips: &KittiClips, clip: &Clip) -> Result<Vec<usize>, CacheError> {
-        let (width, side) = (self.size.width(), self.square.width());
-        match clips.part {
-            Part::Train => {
-                let first = u64::from(clip.frames.first);
-                let column = |cut: usize| {
-                    // Spread evenly, and moved by chance within each share.
-                    let share = Chance::of(&[SQUARE, first, cut as u64]).unit();
-                    ((cut as f64 + share) / clips.cuts as f64 * (width - side + 1) as f64) as usize
-                };
-                Ok((0..clips.cuts).map(column).collect())
-            }
-            Part::Validation => {
-                let squares = Window::squares(width, self.size.height(), side);
-                let squares = squares.ok_or_else(|| CacheError::Drive {
-                    drive: clip.drive.name().to_owned(),
-                    fault: format!("pictures of {width} columns have no room for {side}"),
-                })?;
-                Ok(squares.map(|square| square.x).to_vec())
-            }
-        }
-    }
-
-    /// What is given and what is truth at each step of the square at column `x`: a step without a
-    /// scan of its own is given the newest, and has no truth.
-    fn steps(&self, clips: &KittiClips, clip: &Clip, x: usize, phase: u8) -> Option<[Vec<f32>; 2]> {
-        let window = Window {
-            x,
-            y: self.size.height() - self.square.height(),
-            size: self.square,
-        };
-        let (mut sparse, mut depth) = (Vec::new(), Vec::new());
-        let [first, last] = clips.scored;
-        let steps = clip.frames.steps_per_frame();
-        let area = self.square.pixels();
-        for (frame, phases) in (clip.frames.first..).zip(&self.depth) {
-            let [given, truth] = &phases[usize::from(phase)];
-            let given = window.of_map(given, self.size.width())?;
-            sparse.extend(given.repeat(steps));
-            match (first..=last).contains(&frame) {
-                true => depth.extend(window.of_map(truth, self.size.width())?),
-                false => depth.extend(vec![0.0; area]),
-            }
-            depth.extend(vec![0.0; (steps - 1) * area]);
-        }
-        Some([sparse, depth])
-    }
-}
-
 /// The drives of the settings that may be trained on.
 fn allowed_drives(settings: &KittiDrives) -> Result<Vec<Drive>, CacheError> {
     let mut drives = raw_drives(&settings.root, ColourCamera::Left)?;
@@ -393,27 +261,6 @@ fn allowed_drives(settings: &KittiDrives) -> Result<Vec<Drive>, CacheError> {
         }),
         false => Ok(drives),
     }
-}
-
-/// Changes when the synthesis makes anything otherwise: an exposure of a small moving pattern.
-fn fingerprint() -> Vec<u8> {
-    let size = Size::new(32, 24).expect("a size");
-    let frame = |shift: usize| -> Vec<u8> {
-        let cells = (0..24_usize).flat_map(|y| (0..32_usize).map(move |x| (x + 2 * shift, y)));
-        let code = |(x, y): (usize, usize)| (((x * x + 5 * x * y + 3 * y) / 4) % 200) as u8;
-        cells.flat_map(|cell| [code(cell); 3]).collect()
-    };
-    let frames: Vec<Vec<u8>> = (0..3).map(frame).collect();
-    let footage = Footage::from_srgb(frames.iter().map(Vec::as_slice), size, PERIOD_US);
-    let footage = footage.expect("small and whole");
-    let exposed = expose(&footage, 0.0, 2.0, &Synthesis::of_seed(1)).expect("within the footage");
-    let mut bytes = exposed.blur;
-    bytes.extend(exposed.sharp);
-    for event in exposed.events {
-        bytes.extend(event.t_us.to_le_bytes());
-        bytes.extend([event.x() as u8, event.y() as u8, u8::from(event.is_on())]);
-    }
-    bytes
 }
 
 impl Cache {

@@ -3,8 +3,13 @@
 //! A [`Config`] says everything about a network but its numbers: the same struct names the tensors
 //! of a weights file, sizes them, and counts their cost. It reads no files.
 
+mod form;
+mod member;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+pub use form::Form;
 
 /// Widest layer a configuration may ask for, in channels.
 pub const WIDTH_MAX: usize = 4096;
@@ -26,46 +31,6 @@ pub enum Variant {
     NoEfr,
     /// Completion guided by the restored feature alone, without the event pyramid.
     NoHgcm,
-}
-
-/// How sparse depth enters a network and how dense depth leaves it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Form {
-    /// Sparse depth and its mask in, a share of the depth range out (the paper's network).
-    #[default]
-    Direct,
-    /// Depth completed by the nearest return, mask and confidence in; a factor on the nearest
-    /// return's depth out.
-    Residual,
-    /// As [`Residual`](Self::Residual), and the network also sees how much nearer and how much
-    /// farther the returns around a pixel reach, and how far the ground lies where that is known;
-    /// it moves from the nearest return's depth towards
-    /// either before the factor applies.
-    Choice,
-}
-
-impl Form {
-    /// Channels that enter the depth encoder.
-    pub fn depth_channels(self) -> usize {
-        match self {
-            Self::Direct => 2,
-            Self::Residual => 3,
-            Self::Choice => 6,
-        }
-    }
-
-    /// Channels of the last convolution.
-    pub fn head_channels(self) -> usize {
-        match self {
-            Self::Direct | Self::Residual => 1,
-            Self::Choice => 2,
-        }
-    }
-
-    fn is_direct(&self) -> bool {
-        *self == Self::Direct
-    }
 }
 
 /// One member of the family. Levels count halvings: level 0 is full size, level 4 a sixteenth.
@@ -178,123 +143,6 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// The paper's network: 29.69 M parameters.
-    pub fn full() -> Self {
-        Self {
-            name: "full".into(),
-            c: [32, 64, 128],
-            n_sp: [1, 2, 4],
-            n1: 2,
-            n2: 4,
-            k: [32, 64],
-            n_t: 2,
-            cd: 128,
-            g: [32, 48, 96, 192, 384],
-            e: [16, 24, 32, 80, 128],
-            d: [24, 40, 80, 192, 384],
-            n_g: [0, 1, 1, 2, 2],
-            n_e: [0, 1, 1, 1, 1],
-            n_d: [0, 1, 1, 2, 2],
-            n_b: 2,
-            n_u: [1, 1, 1, 1],
-            filters: 6,
-            ..Self::tiny()
-        }
-        .with_steps(8)
-    }
-
-    /// The larger of the two small members, for two processor cores: see the family's table.
-    pub fn s() -> Self {
-        Self {
-            name: "s".into(),
-            c: [16, 32, 48],
-            n_sp: [0, 1, 1],
-            n1: 1,
-            n2: 1,
-            k: [16, 32],
-            n_t: 1,
-            cd: 32,
-            g: [16, 16, 32, 64, 128],
-            e: [8, 8, 16, 32, 64],
-            d: [16, 16, 32, 64, 128],
-            n_g: [0, 0, 1, 1, 1],
-            n_e: [0, 0, 1, 1, 1],
-            n_d: [0, 0, 1, 1, 1],
-            n_b: 1,
-            n_u: [0, 1, 1, 1],
-            filters: 4,
-            form: Form::Choice,
-            ..Self::tiny()
-        }
-        .with_steps(8)
-    }
-
-    /// The smallest member that ships: see the family's table.
-    pub fn xs() -> Self {
-        Self {
-            name: "xs".into(),
-            c: [8, 16, 32],
-            n_sp: [0, 1, 1],
-            n1: 1,
-            n2: 1,
-            k: [8, 16],
-            n_t: 1,
-            cd: 16,
-            g: [8, 16, 16, 32, 64],
-            e: [4, 8, 8, 16, 32],
-            d: [8, 16, 16, 32, 64],
-            n_g: [0, 0, 1, 1, 1],
-            n_e: [0, 0, 0, 1, 1],
-            n_d: [0, 0, 0, 1, 1],
-            n_b: 1,
-            n_u: [0, 0, 1, 1],
-            filters: 2,
-            form: Form::Choice,
-            ..Self::tiny()
-        }
-        .with_steps(8)
-    }
-
-    /// The smallest network with every part present, for tests; three steps.
-    pub fn tiny() -> Self {
-        Self {
-            name: "tiny".into(),
-            c: [4, 6, 8],
-            n_sp: [1, 1, 1],
-            n1: 1,
-            n2: 1,
-            k: [4, 6],
-            n_t: 1,
-            cd: 8,
-            g: [4, 6, 8, 10, 12],
-            e: [2, 4, 4, 6, 6],
-            d: [4, 6, 8, 10, 12],
-            n_g: [1; 5],
-            n_e: [1; 5],
-            n_d: [1; 5],
-            n_b: 1,
-            n_u: [1; 4],
-            filters: 3,
-            bins: default_bins(),
-            freqs: default_freqs(),
-            steps: 3,
-            d_max: default_depth_max(),
-            variant: Variant::Full,
-            form: Form::Direct,
-        }
-    }
-
-    /// The member of the family called `name`: `full`, `s`, `xs` or `tiny`.
-    pub fn member(name: &str) -> Result<Self, ConfigError> {
-        match name {
-            "full" => Ok(Self::full()),
-            "s" => Ok(Self::s()),
-            "xs" => Ok(Self::xs()),
-            "tiny" => Ok(Self::tiny()),
-            other => Err(ConfigError::UnknownMember(other.into())),
-        }
-    }
-
     /// The same widths for `steps` depth maps per exposure.
     #[must_use]
     pub fn with_steps(self, steps: usize) -> Self {
