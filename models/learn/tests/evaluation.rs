@@ -164,12 +164,12 @@ fn a_damaged_table_is_named_with_its_line() {
 fn what_is_withheld_is_not_seen() {
     let folder = tempfile::tempdir().unwrap();
     let path = weights_file(folder.path());
-    let mut methods: Vec<Method> = ["full", "no-events", "no-image", "no-lidar"]
+    let mut methods: Vec<Method> = ["full", "no-events", "no-image", "no-lidar", "no-ground"]
         .iter()
         .map(|withheld| network(&path, withheld))
         .collect();
     let rows = run(&mut methods, "0/3".parse().unwrap()).rows();
-    assert_eq!(rows.len(), 4);
+    assert_eq!(rows.len(), 5);
     for (i, a) in rows.iter().enumerate() {
         assert!(a.params > 10_000 && a.gmac > 0.1);
         assert!(

@@ -7,9 +7,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use noctule_depth::Canvas;
 use noctule_learn::{
-    Cache, CacheError, Examples, KittiClips, KittiDrives, Origin, Part, Report, Run, Settings,
-    Start, TrainError, Validation,
+    Cache, CacheError, Examples, KittiClips, KittiDrives, Origin, Part, Run, Settings, Start,
+    TrainError, Validation,
 };
+
+mod sitting;
 
 const DRIVE: &str = "2011_09_26_drive_0001_sync";
 const CAMERAS: &str = "R_rect_00: 1 0 0 0 1 0 0 0 1\nP_rect_02: 60 0 40 0 0 60 24 0 0 0 1 0\n";
@@ -114,6 +116,9 @@ fn a_clip_gives_squares_with_every_ring_given_once() {
                 .collect();
             for example in &four {
                 assert_eq!(example.exposure_us, 400_000);
+                // The horizon is row 24 of the picture, row 8 of the square; 1.65 m, 60 px.
+                let ground = example.ground.unwrap();
+                assert!((ground.inverse_depth(3.0, 8.0 + 9.9) - 0.1).abs() < 1e-5);
                 assert!(example.events.len() > 100, "{}", example.events.len());
                 assert_eq!(
                     (&example.events, &example.blur),
@@ -334,20 +339,9 @@ fn open(settings: &Settings, start: Start) -> Run {
 }
 
 fn train(run: &mut Run, stop_at: Option<u64>) -> (Vec<f64>, Vec<Validation>) {
-    let stop = AtomicBool::new(false);
-    let (mut losses, mut validations) = (Vec::new(), Vec::new());
-    let outcome = run.train(&stop, &mut |report| match report {
-        Report::Step(step) => {
-            losses.push(step.loss);
-            if Some(step.total) == stop_at {
-                stop.store(true, Ordering::Relaxed);
-            }
-        }
-        Report::Validation(found) => validations.push((*found).clone()),
-        Report::Note(_) => {}
-    });
+    let (losses, validations, outcome) = sitting::train(run, stop_at);
     match stop_at {
-        Some(_) => assert!(matches!(outcome, Err(TrainError::Interrupted(_)))),
+        Some(_) => assert!(matches!(outcome, Err(TrainError::Interrupted { .. }))),
         None => outcome.unwrap(),
     }
     (losses, validations)

@@ -3,9 +3,12 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
-use noctule_learn::{Cache, Kind, Report, Run, Settings, Start, TrainError, Validation};
+use noctule_learn::{Cache, Kind, Run, Settings, Start, TrainError};
+
+mod sitting;
+use sitting::train;
 
 /// Two exposures to train on, one to validate on, 32 x 32 pixels.
 fn settings(root: &Path, stages: &str) -> Settings {
@@ -73,26 +76,6 @@ fn open(settings: &Settings, start: Start) -> Result<Run, TrainError> {
         .prepare(&nights, &AtomicBool::new(false), &mut |_| {})
         .unwrap();
     Run::new(settings.clone(), start, &cache)
-}
-
-/// Trains until done or until `stop_at` changes; returns losses and validations.
-fn train(
-    run: &mut Run,
-    stop_at: Option<u64>,
-) -> (Vec<f64>, Vec<Validation>, Result<(), TrainError>) {
-    let stop = AtomicBool::new(false);
-    let (mut losses, mut validations) = (Vec::new(), Vec::new());
-    let outcome = run.train(&stop, &mut |report| match report {
-        Report::Step(step) => {
-            losses.push(step.loss);
-            if Some(step.total) == stop_at {
-                stop.store(true, Ordering::Relaxed);
-            }
-        }
-        Report::Validation(found) => validations.push((*found).clone()),
-        Report::Note(_) => {}
-    });
-    (losses, validations, outcome)
 }
 
 /// Everything in a table but the wall-clock seconds at the end of its rows.

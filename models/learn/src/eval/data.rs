@@ -115,6 +115,8 @@ pub struct Withheld {
     pub image: bool,
     /// No LiDAR: not a single return.
     pub lidar: bool,
+    /// Not told where the ground lies.
+    pub ground: bool,
 }
 
 impl Withheld {
@@ -124,6 +126,7 @@ impl Withheld {
             (self.events, "no events"),
             (self.image, "no image"),
             (self.lidar, "no LiDAR"),
+            (self.ground, "no ground"),
         ]
         .iter()
         .filter(|(is, _)| *is)
@@ -135,7 +138,7 @@ impl Withheld {
 impl FromStr for Withheld {
     type Err = EvalError;
 
-    /// `full`, or `no-events`, `no-image`, `no-lidar` joined by `+`.
+    /// `full`, or `no-events`, `no-image`, `no-lidar`, `no-ground` joined by `+`.
     fn from_str(text: &str) -> Result<Self, EvalError> {
         let mut withheld = Self::default();
         if text == "full" {
@@ -146,10 +149,11 @@ impl FromStr for Withheld {
                 "no-events" => withheld.events = true,
                 "no-image" => withheld.image = true,
                 "no-lidar" => withheld.lidar = true,
+                "no-ground" => withheld.ground = true,
                 _ => {
                     return Err(EvalError::Data {
                         text: text.to_owned(),
-                        wanted: "full, or no-events, no-image, no-lidar joined by +",
+                        wanted: "full, or no-events, no-image, no-lidar, no-ground joined by +",
                     });
                 }
             }
