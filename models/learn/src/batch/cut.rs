@@ -1,5 +1,6 @@
 //! Which part of an example enters a batch and what is done to it, and what comes of it.
 
+use noctule_depth::Ground;
 use noctule_world::STEPS;
 
 use super::crop::Crop;
@@ -80,6 +81,12 @@ impl Cut {
             gain: chance.between(low.ln(), high.ln()).exp(),
             vary: Vary::random(augment, key),
         }
+    }
+
+    /// The example's ground in the cut's own pixels, as the network is told of it.
+    pub(super) fn ground(&self, ground: Option<&Ground>) -> Option<Ground> {
+        let told = self.vary.ground(ground)?;
+        Some(self.crop.ground(&told))
     }
 }
 

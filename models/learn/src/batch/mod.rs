@@ -298,9 +298,7 @@ impl Recipe {
             );
             let example = self.examples.read(index, wanted.pictures.is_some())?;
             batch.places.push((example.origin.letter(), example.seed));
-            batch
-                .grounds
-                .push(example.ground.map(|g| cut.crop.ground(&g)));
+            batch.grounds.push(cut.ground(example.ground.as_ref()));
             batch.append(cutter.cut(&example, &cut, wanted, &mut chance)?);
         }
         Ok(batch)

@@ -1,5 +1,7 @@
 //! How sensors differ from those of the example: drawn once per cut, each from its own chance.
 
+use noctule_depth::Ground;
+
 use crate::chance::Chance;
 use crate::settings::Augment;
 
@@ -21,6 +23,7 @@ pub(super) enum Purpose {
     RangeNoise,
     ReadNoise,
     Bits,
+    Ground,
 }
 
 /// Strengths of the changes to sensors; all neutral by default.
@@ -44,6 +47,8 @@ pub(super) struct Vary {
     pub read_noise: f64,
     /// Bits of the picture's codes.
     pub bits: u32,
+    /// Rows by which the horizon is told too low; `None` where nothing is told of the ground.
+    pub horizon_shift: Option<f64>,
 }
 
 impl Vary {
@@ -58,12 +63,18 @@ impl Vary {
         range_noise_m: 0.0,
         read_noise: 0.0,
         bits: 8,
+        horizon_shift: Some(0.0),
     };
 
     /// Draws strengths up to those of the settings; no draw depends on another setting.
     pub(super) fn random(augment: &Augment, key: u64) -> Self {
         let up_to = |max: f64, purpose| of(key, purpose).between(0.0, max);
         let strides = augment.ring_stride_max.max(1);
+        let mut ground = of(key, Purpose::Ground);
+        let shift = ground.between(
+            -augment.ground_shift_rows_max,
+            augment.ground_shift_rows_max,
+        );
         let coarser = 8_u32.saturating_sub(augment.picture_bits_min) as usize;
         Self {
             key,
@@ -75,7 +86,18 @@ impl Vary {
             range_noise_m: up_to(augment.range_noise_m_max, Purpose::RangeNoise),
             read_noise: up_to(augment.read_noise_max, Purpose::ReadNoise),
             bits: 8 - of(key, Purpose::Bits).below(coarser + 1) as u32,
+            horizon_shift: (!ground.happens(augment.ground_unknown)).then_some(shift),
         }
+    }
+
+    /// What the network is told of the example's ground.
+    pub(super) fn ground(&self, ground: Option<&Ground>) -> Option<Ground> {
+        let shift = self.horizon_shift? as f32;
+        let ground = *ground?;
+        Some(Ground {
+            first: ground.first - shift * ground.per_row,
+            ..ground
+        })
     }
 
     /// The chance that single pixels, returns and rings draw from.
@@ -175,6 +197,31 @@ mod tests {
             let drawn = Vary::random(&Augment::default(), key);
             assert_eq!(drawn, Vary { key, ..Vary::NONE });
         }
+    }
+
+    #[test]
+    fn the_ground_is_told_wrongly_or_not_at_all() {
+        let ground = Ground::level(1.5, 262.0, 127.5).expect("a plane");
+        let augment = Augment {
+            ground_shift_rows_max: 3.0,
+            ground_unknown: 0.25,
+            ..Augment::default()
+        };
+        let told: Vec<Option<Ground>> = (0..400)
+            .map(|key| Vary::random(&augment, key).ground(Some(&ground)))
+            .collect();
+        assert!((60..140).contains(&told.iter().filter(|told| told.is_none()).count()));
+        let horizons = told.iter().flatten().map(|told| {
+            assert_eq!(told.per_row, ground.per_row);
+            -told.first / told.per_row
+        });
+        let (low, high) = horizons.fold((f32::MAX, f32::MIN), |(low, high), row| {
+            (low.min(row), high.max(row))
+        });
+        assert!((124.4..125.5).contains(&low), "{low}");
+        assert!((129.5..130.6).contains(&high), "{high}");
+        assert_eq!(Vary::random(&augment, 1).ground(None), None);
+        assert_eq!(Vary::NONE.ground(Some(&ground)), Some(ground));
     }
 
     #[test]

@@ -38,6 +38,11 @@ pub struct Augment {
     pub read_noise_max: f64,
     /// Fewest bits of the picture's codes, 1 to 8.
     pub picture_bits_min: u32,
+    /// Farthest that the horizon is told too high or too low, rows of the example: a car that
+    /// pitches, or a road that rises.
+    pub ground_shift_rows_max: f64,
+    /// Probability that the network is not told where the ground lies.
+    pub ground_unknown: f64,
 }
 
 impl Default for Augment {
@@ -59,6 +64,8 @@ impl Default for Augment {
             range_noise_m_max: 0.0,
             read_noise_max: 0.0,
             picture_bits_min: 8,
+            ground_shift_rows_max: 0.0,
+            ground_unknown: 0.0,
         }
     }
 }

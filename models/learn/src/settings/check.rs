@@ -195,6 +195,7 @@ impl Augment {
         share("augment.return_drop_max", self.return_drop_max)?;
         share("augment.zoom", self.zoom)?;
         share("augment.ring_drop_max", self.ring_drop_max)?;
+        share("augment.ground_unknown", self.ground_unknown)?;
         for (key, value, [low, high]) in [
             ("event_noise_max", self.event_noise_max, [0.0, 10.0]),
             ("zoom_max", self.zoom_max, [1.0, 8.0]),
@@ -203,6 +204,11 @@ impl Augment {
             ("event_dead_us_max", self.event_dead_us_max, [0.0, 1e6]),
             ("range_noise_m_max", self.range_noise_m_max, [0.0, 10.0]),
             ("read_noise_max", self.read_noise_max, [0.0, 1.0]),
+            (
+                "ground_shift_rows_max",
+                self.ground_shift_rows_max,
+                [0.0, 256.0],
+            ),
         ] {
             if !(low..=high).contains(&value) {
                 let key = format!("augment.{key}");
