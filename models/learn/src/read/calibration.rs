@@ -115,7 +115,7 @@ impl Calibration {
         [p[0][0], p[1][1], p[0][2], p[1][2]]
     }
 
-    /// Level ground in the rectified pictures, whose cameras all stand [`CAMERA_HEIGHT_M`] high.
+    /// Level ground in the rectified pictures, whose cameras all stand 1.65 m above the road.
     pub fn ground(&self) -> Option<Ground> {
         let [fx, fy, cx, cy] = self.pinhole();
         Ground::beneath(CAMERA_HEIGHT_M, [0.0, 1.0, 0.0], [fx, fy], [cx, cy])
