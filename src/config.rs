@@ -198,7 +198,7 @@ pub const THREADS_MAX: usize = 64;
 
 /// The networks whose weights are part of the program, cheapest first.
 pub const SHIPPED: &[ModelId] = if cfg!(feature = "model") {
-    &[ModelId::Xs]
+    &[ModelId::Xs, ModelId::S]
 } else {
     &[]
 };
@@ -326,7 +326,7 @@ impl Default for Lidar {
 impl Default for Infer {
     fn default() -> Self {
         Self {
-            model: SHIPPED.last().copied().unwrap_or(ModelId::Fill),
+            model: SHIPPED.first().copied().unwrap_or(ModelId::Fill),
             ladder: true,
             threads: 0,
             precision: Precision::Auto,

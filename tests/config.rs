@@ -149,7 +149,7 @@ fn values_out_of_range_and_contradictions_are_refused_by_name() {
             "lanes.history_events",
         ),
         ("[lidar]\nmodel = \"vlp16\"", "lidar.model"),
-        ("[infer]\nmodel = \"s\"", "infer.model"),
+        ("[infer]\nmodel = \"full\"", "infer.model"),
         ("[infer]\nthreads = 65", "infer.threads"),
         (
             "[infer]\nmodel = \"full\"\n[infer.weights]\nxs = \"xs.safetensors\"",

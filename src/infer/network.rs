@@ -16,11 +16,17 @@ use crate::frame::{BundleLayout, BundlePlanes, ModelId};
 
 /// The weights of `xs` (`models/weights/xs.md` says where they come from).
 const XS: &[u8] = include_bytes!("../../models/weights/xs.safetensors");
+/// The weights of `s` (`models/weights/s.md`).
+const S: &[u8] = include_bytes!("../../models/weights/s.safetensors");
 
 /// The weights file of a network that is part of the program ([`config::SHIPPED`]).
 #[must_use]
 pub fn shipped_weights(model: ModelId) -> Option<&'static [u8]> {
-    (model == ModelId::Xs).then_some(XS)
+    match model {
+        ModelId::Xs => Some(XS),
+        ModelId::S => Some(S),
+        _ => None,
+    }
 }
 
 /// The networks that were loaded.
