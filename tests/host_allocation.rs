@@ -14,8 +14,8 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::path::Path;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Barrier, Mutex};
 use std::thread;
 use std::time::Duration;
 
@@ -362,9 +362,11 @@ fn host(dir: &Path, allocates: bool) -> Outcome {
         count.store(0, Relaxed);
     }
     PLACES.lock().unwrap().clear();
-    let is_over = AtomicBool::new(false);
+    let (is_over, is_open) = (AtomicBool::new(false), Barrier::new(2));
     let (ingested, received) = thread::scope(|scope| {
-        let receiver = scope.spawn(|| receive(&instance, limits, &is_over));
+        let receiver = scope.spawn(|| receive(&instance, limits, &is_open, &is_over));
+        // A receiver that comes later makes the transport allocate when it is connected to.
+        is_open.wait();
         let ingested = ingest_and_merge(&recording, &config, &mut assembler);
         is_over.store(true, Relaxed);
         (ingested, receiver.join().unwrap())
@@ -445,9 +447,10 @@ fn ingest_and_merge(
     })
 }
 
-fn receive(instance: &Instance, limits: Limits, is_over: &AtomicBool) -> u64 {
+fn receive(instance: &Instance, limits: Limits, is_open: &Barrier, is_over: &AtomicBool) -> u64 {
     let ports = Ports::<Ipc>::open(instance.clone(), "receiver", limits).unwrap();
     let receiver = ports.bundle_receiver().unwrap();
+    is_open.wait();
     while !is_over.load(Relaxed) {
         receiver.wait(Duration::from_millis(10)).unwrap();
         while receiver.receive().unwrap().is_some() {}
