@@ -148,8 +148,7 @@ pub struct BundleHeader {
     pub returns: u32,
     /// Largest depth the sensors of this rig report, metres.
     pub depth_m_max: f32,
-    /// Level ground in the planes: what one column adds to its inverse depth, what one row adds,
-    /// and the inverse depth at the first pixel, 1/m; all zero where it is not known.
+    /// Level ground in the planes, as [`Ground::numbers`]; zeros where it is not known.
     pub ground: [f32; 3],
     /// Zero.
     pub reserved: u32,
@@ -187,13 +186,7 @@ impl BundleHeader {
     /// Where level ground lies in the planes; `None` where that is not known.
     #[must_use]
     pub fn ground(&self) -> Option<Ground> {
-        let [per_column, per_row, first] = self.ground;
-        let ground = Ground {
-            per_column,
-            per_row,
-            first,
-        };
-        (self.ground != [0.0; 3] && ground.is_finite()).then_some(ground)
+        Ground::from_numbers(self.ground)
     }
 
     /// The header with everything removed that differs between two runs over the same recording.

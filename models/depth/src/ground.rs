@@ -29,13 +29,8 @@ impl Ground {
         let column = normal[0] / (focal_px[0] * height_m);
         let row = normal[1] / (focal_px[1] * height_m);
         let first = normal[2] / height_m - column * centre_px[0] - row * centre_px[1];
-        let ground = Self {
-            per_column: column as f32,
-            per_row: row as f32,
-            first: first as f32,
-        };
         let is_plane = height_m > 0.0 && focal_px.iter().all(|f| *f > 0.0);
-        (is_plane && ground.is_finite()).then_some(ground)
+        Self::from_numbers([column, row, first].map(|number| number as f32)).filter(|_| is_plane)
     }
 
     /// The ground beneath a camera that looks along the horizon.
@@ -45,12 +40,23 @@ impl Ground {
         Self::beneath(height_m, down, focal, [0.0, horizon_row])
     }
 
-    /// Whether all three numbers are.
+    /// As it is stored and sent: `per_column`, `per_row`, `first`.
     #[must_use]
-    pub fn is_finite(&self) -> bool {
+    pub fn numbers(&self) -> [f32; 3] {
         [self.per_column, self.per_row, self.first]
-            .iter()
-            .all(|number| number.is_finite())
+    }
+
+    /// The inverse of [`numbers`](Self::numbers); `None` for three zeros, which stand for a ground
+    /// that is not known, and for what is not finite.
+    #[must_use]
+    pub fn from_numbers(numbers: [f32; 3]) -> Option<Self> {
+        let [per_column, per_row, first] = numbers;
+        let is_told = numbers != [0.0; 3] && numbers.iter().all(|number| number.is_finite());
+        is_told.then_some(Self {
+            per_column,
+            per_row,
+            first,
+        })
     }
 
     /// Inverse depth at a pixel, 1/m; 0 and below from the horizon up.
@@ -118,6 +124,18 @@ mod tests {
             ground.mirrored(128).inverse_depth(37.0, 70.0),
             by_hand as f32,
         );
+    }
+
+    #[test]
+    fn it_survives_its_numbers() {
+        let ground = Ground::beneath(2.0, [0.1, 0.9, 0.2], [150.0; 2], [60.0, 40.0]);
+        assert_eq!(
+            ground.and_then(|g| Ground::from_numbers(g.numbers())),
+            ground
+        );
+        assert!(ground.is_some());
+        assert_eq!(Ground::from_numbers([0.0; 3]), None);
+        assert_eq!(Ground::from_numbers([0.0, f32::NAN, 1.0]), None);
     }
 
     #[test]

@@ -124,9 +124,7 @@ impl<O: Outlet> Assembler<O> {
                 encoding: rig.encoding,
                 bit_depth: rig.bit_depth,
                 depth_m_max: rig.depth_m_max,
-                ground: rig
-                    .ground
-                    .map_or([0.0; 3], |g| [g.per_column, g.per_row, g.first]),
+                ground: rig.ground.map_or([0.0; 3], |ground| ground.numbers()),
                 ..BundleHeader::default()
             },
             outlet,

@@ -43,8 +43,11 @@ pub(super) fn write(path: &Path, examples: &[Example]) -> Result<(), CacheError>
         let width = example.exposure_us.to_le_bytes().to_vec();
         field("exposure_us", Dtype::U32, vec![1], width);
         if let (Origin::Kitti, Some(ground)) = (example.origin, &example.ground) {
-            let numbers = [ground.per_column, ground.per_row, ground.first];
-            let bytes = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
+            let bytes = ground
+                .numbers()
+                .iter()
+                .flat_map(|n| n.to_le_bytes())
+                .collect();
             field("ground", Dtype::F32, vec![3], bytes);
         }
     }
@@ -225,16 +228,9 @@ impl Shard {
         if self.metadata.info(name).is_none() {
             return Ok(None);
         }
-        let &[per_column, per_row, first] = self.words(name)?.as_slice() else {
-            return Err(self.fault("ground"));
-        };
-        let [per_column, per_row, first] = [per_column, per_row, first].map(f32::from_bits);
-        let ground = Ground {
-            per_column,
-            per_row,
-            first,
-        };
-        Ok(Some(ground).filter(Ground::is_finite))
+        let numbers: Result<[u32; 3], _> = self.words(name)?.try_into();
+        let numbers = numbers.map_err(|_| self.fault("ground"))?;
+        Ok(Ground::from_numbers(numbers.map(f32::from_bits)))
     }
 
     fn sparse(&self, cells: &str, depths: &str, len: usize) -> Result<Vec<f32>, CacheError> {
