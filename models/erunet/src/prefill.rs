@@ -40,6 +40,8 @@ struct Around {
     surround: Surround,
     /// Logarithm of each return's depth; no number where there is none.
     logarithm: Vec<f32>,
+    width: usize,
+    told: Option<Ground>,
     /// Logarithm of the ground's depth; empty where the ground is unknown.
     ground: Vec<f32>,
 }
@@ -52,6 +54,8 @@ impl Prefill {
                 Surround::new(width, height, SURROUND_PX).map(|surround| Around {
                     surround,
                     logarithm: vec![0.0; height * width],
+                    width,
+                    told: None,
                     ground: Vec::with_capacity(height * width),
                 })
             })
@@ -64,10 +68,13 @@ impl Prefill {
         })
     }
 
-    /// From now on the ground lies there; `None` where nobody knows.
-    pub(crate) fn stand_on(&mut self, ground: Option<&Ground>, width: usize) {
-        if let Some(around) = &mut self.around {
-            around.stand_on(ground, width);
+    /// From now on the ground lies there; `None` where nobody knows. Costs nothing while it stays
+    /// where it was.
+    pub(crate) fn stand_on(&mut self, ground: Option<&Ground>) {
+        if let Some(around) = &mut self.around
+            && around.told.as_ref() != ground
+        {
+            around.stand_on(ground);
         }
     }
 
@@ -118,13 +125,14 @@ impl Prefill {
 }
 
 impl Around {
-    fn stand_on(&mut self, ground: Option<&Ground>, width: usize) {
+    fn stand_on(&mut self, ground: Option<&Ground>) {
+        self.told = ground.copied();
         self.ground.clear();
         let Some(ground) = ground else {
             return;
         };
         for cell in 0..self.logarithm.len() {
-            let (column, row) = ((cell % width) as f32, (cell / width) as f32);
+            let (column, row) = ((cell % self.width) as f32, (cell / self.width) as f32);
             let inverse = ground.inverse_depth(column, row).max(f32::MIN_POSITIVE);
             self.ground.push(-inverse.ln());
         }
@@ -193,7 +201,7 @@ pub(crate) fn prefill(
             || Prefill::new(form, h, w, range_m),
             |prefill, (map, ((sparse, nearest), seen))| match prefill {
                 Ok(prefill) => {
-                    prefill.stand_on(of_map(map), w);
+                    prefill.stand_on(of_map(map));
                     prefill.fill(sparse, nearest, seen)
                 }
                 Err(error) => candle_core::bail!("{error}"),

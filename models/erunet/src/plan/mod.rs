@@ -125,8 +125,6 @@ struct Filled {
     prefill: Prefill,
     nearest: Vec<f32>,
     seen: Vec<f32>,
-    width: usize,
-    ground: Option<Ground>,
 }
 
 impl Filled {
@@ -139,17 +137,7 @@ impl Filled {
             prefill: Prefill::new(config.form, height, width, config.d_max as f32)?,
             nearest: vec![0.0; height * width],
             seen: vec![0.0; config.form.depth_channels() * height * width],
-            width,
-            ground: None,
         })
-    }
-
-    /// Costs nothing while the ground stays where it was.
-    fn stand_on(&mut self, ground: Option<&Ground>) {
-        if self.ground.as_ref() != ground {
-            self.ground = ground.copied();
-            self.prefill.stand_on(ground, self.width);
-        }
     }
 }
 
@@ -216,7 +204,7 @@ impl Plan {
         slices[BLUR] = blur;
         self.program.run(BEGIN, 0, &slices, &mut [])?;
         if let Some(filled) = &mut self.filled {
-            filled.stand_on(ground);
+            filled.prefill.stand_on(ground);
         }
         self.done = Some(0);
         Ok(())
@@ -247,7 +235,6 @@ impl Plan {
                 prefill,
                 nearest,
                 seen,
-                ..
             } = filled;
             prefill.fill(sparse, nearest, seen)?;
             (slices[SPARSE], slices[NEAREST]) = (&*seen, &*nearest);
