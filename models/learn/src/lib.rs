@@ -32,7 +32,7 @@ mod train;
 pub use batch::{Batch, BatchError, Inputs, Loader, Pictures, Recipe};
 pub use cache::{
     Cache, CacheError, Example, Examples, KittiClips, Nights, Origin, Part, Prepared, SHARD_LEN,
-    generator,
+    generator, night_ground,
 };
 pub use clip::held_out;
 pub use eval::{

@@ -1,10 +1,11 @@
 //! One exposure of the synthetic night as a network sees it.
 
 use noctule_depth::Ground;
+use noctule_learn::night_ground;
 use noctule_raster::{
     BINS, Exposure as Opening, Grid, PackedEvent, PixelMap, RasterError, Rescale, VoxelRaster,
 };
-use noctule_world::{CAMERA_HEIGHT_M, Optics, STEPS, Sample, Tier};
+use noctule_world::{STEPS, Sample, Tier};
 
 /// Any night will do, as long as it is the same one every time.
 const SEED: u64 = 1;
@@ -51,12 +52,9 @@ impl Exposure {
             .copied()
             .collect();
         let blur = sample.blur.iter().map(|code| f32::from(*code) / 255.0);
-        let optics = Optics::new(size);
-        let [height, focal, horizon] =
-            [CAMERA_HEIGHT_M, optics.focal_px, optics.centre_px].map(f64::from);
         Ok(Self {
             size,
-            ground: Ground::level(height, focal, horizon),
+            ground: night_ground(size),
             blur: blur.collect(),
             voxel,
             sparse,

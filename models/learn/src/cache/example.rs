@@ -57,7 +57,7 @@ pub struct Example {
 }
 
 /// The ground of every rendered night, in a picture of `size` by `size` pixels.
-pub(super) fn night_ground(size: usize) -> Option<Ground> {
+pub fn night_ground(size: usize) -> Option<Ground> {
     let optics = Optics::new(size);
     let [height, focal, horizon] =
         [CAMERA_HEIGHT_M, optics.focal_px, optics.centre_px].map(f64::from);

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
 pub use error::CacheError;
-pub use example::{Example, Origin};
+pub use example::{Example, Origin, night_ground};
 pub use kitti::{KittiClips, Part};
 use shard::Shard;
 pub(crate) use shard::write_whole;
