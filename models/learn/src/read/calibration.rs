@@ -8,7 +8,7 @@ use super::error::ReadError;
 use super::files;
 
 /// How high the cameras stand above the road, metres (the recording car's drawing).
-pub(super) const CAMERA_HEIGHT_M: f64 = 1.65;
+const CAMERA_HEIGHT_M: f64 = 1.65;
 
 /// One of the two colour cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -117,9 +117,13 @@ impl Calibration {
 
     /// Level ground in the rectified pictures, whose cameras all stand 1.65 m above the road.
     pub fn ground(&self) -> Option<Ground> {
-        let [fx, fy, cx, cy] = self.pinhole();
-        Ground::beneath(CAMERA_HEIGHT_M, [0.0, 1.0, 0.0], [fx, fy], [cx, cy])
+        road(self.pinhole())
     }
+}
+
+/// The road beneath a rectified camera, `pinhole` as [`Calibration::pinhole`] gives it.
+pub(super) fn road([fx, fy, cx, cy]: [f64; 4]) -> Option<Ground> {
+    Ground::beneath(CAMERA_HEIGHT_M, [0.0, 1.0, 0.0], [fx, fy], [cx, cy])
 }
 
 /// The numbers behind `KEY:`.

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use noctule_depth::{Canvas, DepthImage, Ground, load_depth_png16};
 
-use super::calibration::CAMERA_HEIGHT_M;
+use super::calibration::road;
 use super::error::ReadError;
 use super::files;
 
@@ -132,8 +132,7 @@ impl Selection {
 impl SelectedFrame {
     /// Level ground in the picture.
     pub fn ground(&self) -> Option<Ground> {
-        let [fx, fy, cx, cy] = self.pinhole;
-        Ground::beneath(CAMERA_HEIGHT_M, [0.0, 1.0, 0.0], [fx, fy], [cx, cy])
+        road(self.pinhole)
     }
 }
 
