@@ -14,8 +14,7 @@ pub enum Form {
     Residual,
     /// As [`Residual`](Self::Residual), and the network also sees how much nearer and how much
     /// farther the returns around a pixel reach, and how far the ground lies where that is known;
-    /// it moves from the nearest return's depth towards
-    /// either before the factor applies.
+    /// it moves from the nearest return's depth towards either reach before the factor applies.
     Choice,
 }
 
