@@ -19,7 +19,8 @@ use serde_json::json;
 
 mod recordings;
 use recordings::{
-    GRID, clean, copy_of, cut, drop_datagram, edit_meta, flip_event_bit, lone_file, rough, without,
+    GRID, clean, copy_of, cut, drop_datagram, edit_meta, flip_event_bit, lone_file, raised_by,
+    rough, without,
 };
 
 /// How a recording is run.
@@ -50,6 +51,10 @@ fn config(name: &str) -> Config {
 }
 
 fn run(recording: &Path, name: &str, how: How) -> Result<Session, ReplayError> {
+    run_as(ModelId::Fill, recording, name, how)
+}
+
+fn run_as(model: ModelId, recording: &Path, name: &str, how: How) -> Result<Session, ReplayError> {
     noctule::bus::silence_transport_log();
     let config = config(name);
     let prepared = Prepared::open(recording, &config)?;
@@ -66,7 +71,7 @@ fn run(recording: &Path, name: &str, how: How) -> Result<Session, ReplayError> {
             piece_bytes: how.piece_bytes,
         },
         lossless: how.lossless,
-        model: Some(ModelId::Fill),
+        model: Some(model),
         config_path: Some(config_path),
         program: env!("CARGO_BIN_EXE_noctule").into(),
         keep: 64,
@@ -445,6 +450,39 @@ fn every_image_is_on_the_exposure_that_truth_says() {
                 "exposure {}: {error_ns} ns off, {} ns claimed",
                 truth.index,
                 header.uncertainty_ns
+            );
+        }
+    }
+}
+
+/// Where the ground lies crosses shared memory and reaches the network, and nothing else: of two
+/// rigs that differ in how high they stand alone, only the network's depths differ.
+#[cfg(feature = "model")]
+#[test]
+fn the_network_is_told_how_high_the_rig_stands() {
+    let raised = recordings::raised_by(1.0, clean());
+
+    let seen = |model, recording: &Path, name: &str| {
+        let session = run_as(model, recording, name, LOSSLESS).unwrap();
+        let kept = session.observed.kept.into_values();
+        kept.map(|kept| (kept.header.ground().unwrap(), kept.sparse, kept.depth))
+            .collect::<Vec<_>>()
+    };
+    for (model, learns) in [(ModelId::Fill, false), (ModelId::Xs, true)] {
+        let low = seen(model, clean(), &format!("low-{learns}"));
+        let high = seen(model, raised.path(), &format!("high-{learns}"));
+        assert!(low.len() >= 4 && low.len() == high.len());
+        for (low, high) in low.iter().zip(&high) {
+            assert_eq!(low.1, high.1, "returns do not depend on it");
+            // A plane 2.5 m below is seen 5/3 as far as one 1.5 m below.
+            let ratio = low.0.inverse_depth(64.0, 100.0) / high.0.inverse_depth(64.0, 100.0);
+            assert!((ratio - 5.0 / 3.0).abs() < 1e-4, "{ratio}");
+            let maps = low.2.values().zip(high.2.values());
+            let same = maps.filter(|(low, high)| low.1 == high.1).count();
+            assert_eq!(
+                same == low.2.len(),
+                !learns,
+                "{model:?}: {same} maps are the same"
             );
         }
     }

@@ -10,9 +10,10 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-use noctule_recording::EdgeTruth;
+use noctule_recording::{Calibration, EdgeTruth};
 use noctule_world::{DriveOptions, Faults, Rig, Tier, TimedExposure, Timeline, record_drive};
 use serde_json::Value;
+use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
 /// Columns and rows of the rendered camera.
@@ -93,6 +94,21 @@ pub fn edit_meta(drive: &Path, edit: impl FnOnce(&mut Value)) {
     let mut meta = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
     edit(&mut meta);
     fs::write(&path, serde_json::to_vec(&meta).unwrap()).unwrap();
+}
+
+/// A copy whose rig stands `metres` higher above the ground, and nothing else.
+pub fn raised_by(metres: f64, drive: &Path) -> TempDir {
+    let copy = copy_of(drive);
+    let path = copy.path().join("calib.toml");
+    let text = fs::read_to_string(&path).unwrap();
+    let mut rig = Calibration::parse(&text, &path).unwrap();
+    rig.vehicle_from_lidar.translation_m[2] += metres;
+    let text = rig.to_toml();
+    let hash = Sha256::digest(&text);
+    let hash: String = hash.iter().map(|byte| format!("{byte:02x}")).collect();
+    fs::write(&path, text).unwrap();
+    edit_meta(copy.path(), |meta| meta["calibration_sha256"] = hash.into());
+    copy
 }
 
 /// A copy whose meta does not describe `sensor`, as if it had never been there.

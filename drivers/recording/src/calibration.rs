@@ -259,7 +259,7 @@ impl Calibration {
     }
 
     /// The file's text; the same numbers give the same bytes, and they read back exactly.
-    pub(crate) fn to_toml(&self) -> String {
+    pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("numbers, names and tables have a toml form")
     }
 }
