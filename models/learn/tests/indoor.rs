@@ -232,6 +232,44 @@ fn pre_processed_frames_stand_still() {
     assert!(error.contains("00000.h5: "), "{error}");
 }
 
+#[cfg(feature = "hdf5")]
+#[test]
+fn of_the_labelled_set_the_frames_for_testing_are_scored() {
+    use hdf5_writer::{DatasetBuilder, Hdf5Builder, WriteOptions};
+    let folder = tempfile::tempdir().unwrap();
+    let splits = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/nyu_labelled/splits.mat");
+    fs::copy(splits, folder.path().join("splits.mat")).unwrap();
+    // Columns first: the depth of a cell tells its column and its frame.
+    let area = WIDTH * HEIGHT;
+    let images: Vec<u8> = (0..5 * 3).flat_map(|i| vec![10 * i; area]).collect();
+    let depths: Vec<f32> = (0..5 * area)
+        .map(|i| (i / area) as f32 + (i % area / HEIGHT) as f32 / 1000.0)
+        .collect();
+    let plan = Hdf5Builder::new()
+        .dataset(DatasetBuilder::typed_data("images", vec![5, 3, 640, 480], &images).unwrap())
+        .dataset(DatasetBuilder::typed_data("depths", vec![5, 640, 480], &depths).unwrap())
+        .into_plan()
+        .unwrap();
+    let bytes = plan.encode(WriteOptions::default()).unwrap();
+    // MATLAB writes a block of text of its own in front.
+    let mut file = vec![b' '; 512];
+    file.extend(bytes);
+    let set = folder.path().join("nyu_depth_v2_labeled.mat");
+    fs::write(&set, &file).unwrap();
+    let scenes = NyuScenes::open(folder.path()).unwrap();
+    assert_eq!(scenes.count(), 2);
+    for (index, frame) in [(0, 3_u8), (1, 5)] {
+        let scene = scenes.scene(index).unwrap();
+        scene.check().unwrap();
+        assert_eq!(scene.name, format!("labelled:000{frame}"));
+        assert_eq!(scene.blur[AREA], f32::from(30 * (frame - 1) + 10) / 255.0);
+        assert_eq!(scene.depth[200], f32::from(frame - 1) + 449.0 / 1000.0);
+    }
+    fs::write(&set, &file[..file.len() / 2]).unwrap();
+    let error = scenes.scene(1).unwrap_err().to_string();
+    assert!(error.contains("nyu_depth_v2_labeled.mat: "), "{error}");
+}
+
 #[cfg(not(feature = "hdf5"))]
 #[test]
 fn hdf5_is_refused_with_what_to_do() {

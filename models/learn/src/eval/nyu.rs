@@ -3,8 +3,9 @@
 //! - Raw scenes: windows of eight consecutive pairs of picture and depth map. Where more than two
 //!   periods of the slower stream lie between pairs, or two depth maps have the same picture, the
 //!   sequence is torn and taken up behind the gap.
-//! - Pre-processed single frames (`val/official/00001.h5`), in a build with the feature `hdf5`:
-//!   rooms that stand still.
+//! - Single frames, in a build with the feature `hdf5`: those for testing of the labelled set
+//!   (`nyu_depth_v2_labeled.mat`), and pre-processed ones (`val/official/00001.h5`). Rooms that
+//!   stand still.
 
 use std::path::{Path, PathBuf};
 
@@ -28,6 +29,7 @@ pub struct NyuScenes {
 enum Source {
     Raw(Vec<RoomWindow<NyuPair>>),
     Stills { root: PathBuf, files: Vec<PathBuf> },
+    Labelled { set: PathBuf, frames: Vec<u32> },
 }
 
 impl NyuScenes {
@@ -45,6 +47,11 @@ impl NyuScenes {
                     root: root.into(),
                     files,
                 };
+                Ok(Self { source })
+            }
+            NyuLayout::Labelled { set, splits } => {
+                let frames = test_frames(&splits)?;
+                let source = Source::Labelled { set, frames };
                 Ok(Self { source })
             }
         }
@@ -105,6 +112,7 @@ impl Scenes for NyuScenes {
         match &self.source {
             Source::Raw(windows) => windows.len(),
             Source::Stills { files, .. } => files.len(),
+            Source::Labelled { frames, .. } => frames.len(),
         }
     }
 
@@ -112,6 +120,7 @@ impl Scenes for NyuScenes {
         match &self.source {
             Source::Raw(windows) => windows[index].scene(),
             Source::Stills { root, files } => still(root, &files[index]),
+            Source::Labelled { set, frames } => labelled(set, frames[index]),
         }
     }
 }
@@ -130,6 +139,27 @@ fn still(root: &Path, path: &Path) -> Result<Scene, EvalError> {
         &picture,
         &depth,
     )
+}
+
+#[cfg(feature = "hdf5")]
+fn test_frames(splits: &Path) -> Result<Vec<u32>, ReadError> {
+    crate::read::nyu_test_frames(splits)
+}
+
+#[cfg(feature = "hdf5")]
+fn labelled(set: &Path, frame: u32) -> Result<Scene, EvalError> {
+    let (picture, depth) = crate::read::read_nyu_labelled(set, frame)?;
+    super::indoor::still(&format!("labelled:{frame:04}"), set, &picture, &depth)
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn test_frames(splits: &Path) -> Result<Vec<u32>, ReadError> {
+    Err(not_read(splits))
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn labelled(set: &Path, _: u32) -> Result<Scene, EvalError> {
+    Err(not_read(set).into())
 }
 
 #[cfg(not(feature = "hdf5"))]

@@ -10,6 +10,8 @@ mod error;
 mod files;
 mod netpbm;
 mod nyu;
+#[cfg(feature = "hdf5")]
+mod nyu_labelled;
 mod nyu_register;
 #[cfg(feature = "hdf5")]
 mod nyu_still;
@@ -24,6 +26,8 @@ pub use calibration::{Calibration, ColourCamera, Projected};
 pub use drive::{Drive, is_validation_drive, raw_drives};
 pub use error::ReadError;
 pub use nyu::{NyuLayout, NyuPair, nyu_pairs};
+#[cfg(feature = "hdf5")]
+pub use nyu_labelled::{nyu_test_frames, read_nyu_labelled};
 pub(crate) use nyu_register::registered;
 #[cfg(feature = "hdf5")]
 pub use nyu_still::read_nyu_still;

@@ -2,8 +2,8 @@
 //!
 //! Colour and depth run at their own pace, so every depth map is paired with the picture nearest
 //! in time. The two cameras are not registered to each other: that is [`super::nyu_register`]'s
-//! work. The labelled set (`nyu_depth_v2_labeled.mat`) is not read; the pre-processed one
-//! (`00001.h5`) is [`super::nyu_still`]'s.
+//! work. The labelled set (`nyu_depth_v2_labeled.mat`) is `nyu_labelled`'s, the pre-processed one
+//! (`00001.h5`) `nyu_still`'s.
 
 use std::path::{Path, PathBuf};
 
@@ -30,13 +30,26 @@ pub enum NyuLayout {
     Raw(Vec<PathBuf>),
     /// Pre-processed single frames `00001.h5`, sorted; those of the part `val` where there is one.
     Stills(Vec<PathBuf>),
+    /// The labelled set in MATLAB's format, and the file that says which frames are for testing.
+    Labelled {
+        /// `nyu_depth_v2_labeled.mat`.
+        set: PathBuf,
+        /// `splits.mat`, beside it.
+        splits: PathBuf,
+    },
 }
+
+/// The labelled set's file.
+const LABELLED: &str = "nyu_depth_v2_labeled.mat";
+/// What says which of its frames are for testing.
+const SPLITS: &str = "splits.mat";
 
 impl NyuLayout {
     /// Finds out which layout `root` has, in it and up to two levels below.
     ///
     /// # Errors
-    /// [`ReadError`], when it has none of the two, or holds the labelled set in MATLAB's format.
+    /// [`ReadError`], when it has none of the three, or the labelled set lies there without
+    /// `splits.mat`: frames that others train on would be scored too.
     pub fn of(root: &Path) -> Result<Self, ReadError> {
         let raw = files::folders_with(root, LEVELS, &|name| stream_of(name).is_some())?;
         if !raw.is_empty() {
@@ -52,20 +65,26 @@ impl NyuLayout {
         if !stills.is_empty() {
             return Ok(Self::Stills(stills));
         }
-        let labelled = files::names(root)?;
-        match labelled.iter().find(|name| name.ends_with(".mat")) {
-            Some(name) => Err(ReadError::content(&root.join(name), LABELLED)),
-            None => Err(ReadError::missing(
+        let names = files::names(root)?;
+        let has = |wanted: &str| names.iter().any(|name| name == wanted);
+        match (has(LABELLED), has(SPLITS)) {
+            (true, true) => Ok(Self::Labelled {
+                set: root.join(LABELLED),
+                splits: root.join(SPLITS),
+            }),
+            (true, false) => Err(ReadError::missing(
                 root,
-                "scene with r-TIME-COUNT.ppm and d-TIME-COUNT.pgm, nor 00001.h5",
+                format!("{SPLITS} beside {LABELLED}: it says which frames are for testing"),
+            )),
+            _ => Err(ReadError::missing(
+                root,
+                format!(
+                    "scene with r-TIME-COUNT.ppm and d-TIME-COUNT.pgm, nor 00001.h5, nor {LABELLED}"
+                ),
             )),
         }
     }
 }
-
-/// What is said of the labelled set.
-const LABELLED: &str = "is MATLAB's HDF5, which is not read: write each frame to 00001.h5 with \
-    rgb, u8 [3, 480, 640], and depth, f32 [480, 640] in metres";
 
 /// Which stream a file of a raw scene belongs to, and its name without the extension.
 fn stream_of(name: &str) -> Option<(Stream, &str)> {
@@ -252,11 +271,15 @@ mod tests {
         let error = NyuLayout::of(root).expect_err("empty").to_string();
         assert!(error.contains("has no scene with r-TIME"), "{error}");
         write("nyu_depth_v2_labeled.mat");
-        let error = NyuLayout::of(root).expect_err("MATLAB").to_string();
+        let error = NyuLayout::of(root).expect_err("all frames").to_string();
         assert!(
-            error.contains("nyu_depth_v2_labeled.mat: is MATLAB's HDF5"),
+            error.contains("has no splits.mat beside nyu_depth_v2_labeled.mat"),
             "{error}"
         );
+        write("splits.mat");
+        let found = NyuLayout::of(root).expect("a layout");
+        let [set, splits] = ["nyu_depth_v2_labeled.mat", "splits.mat"].map(|name| root.join(name));
+        assert_eq!(found, NyuLayout::Labelled { set, splits });
         write("train/basement_0001a/00001.h5");
         let stills =
             |names: &[&str]| NyuLayout::Stills(names.iter().map(|name| root.join(name)).collect());

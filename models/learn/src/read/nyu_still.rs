@@ -58,21 +58,23 @@ pub fn read_nyu_still(path: &Path) -> Result<(Canvas, DepthImage), ReadError> {
     let area = planes.len() / 3;
     let pixel = |i: usize| [planes[i], planes[area + i], planes[2 * area + i]];
     let picture = Canvas::from_rgb(width, height, (0..area).flat_map(pixel).collect());
-    let known = |depth: f32| {
-        if depth > 0.0 && depth.is_finite() {
-            depth
-        } else {
-            0.0
-        }
-    };
     Ok((
         picture.map_err(|error| fault(error.to_string()))?,
         DepthImage {
             width: map_width,
             height: map_height,
-            depth_m: metres.into_iter().map(known).collect(),
+            depth_m: metres.into_iter().map(measured).collect(),
         },
     ))
+}
+
+/// Depth in metres where it is above 0, otherwise 0: none.
+pub(super) fn measured(depth_m: f32) -> f32 {
+    if depth_m > 0.0 && depth_m.is_finite() {
+        depth_m
+    } else {
+        0.0
+    }
 }
 
 #[cfg(test)]
