@@ -27,6 +27,7 @@ mod config;
 mod conv;
 mod conv_cpu;
 mod efr;
+mod grow;
 mod init;
 mod network;
 mod norm;

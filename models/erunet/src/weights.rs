@@ -131,6 +131,9 @@ pub enum WeightsError {
     /// Tensors do not fit; every fault found is listed.
     #[error("{} of the tensors do not fit: {}", .0.len(), list(.0))]
     Faults(Vec<Fault>),
+    /// The weights cannot be put into the larger network asked for.
+    #[error("cannot grow {0}")]
+    Growth(String),
     /// The tensors could not be placed on the device.
     #[error("tensor operation failed: {0}")]
     Tensor(#[from] candle_core::Error),

@@ -41,6 +41,10 @@ pub struct Settings {
     /// Weights file to start from instead of random numbers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub init: Option<PathBuf>,
+    /// Whether `init` may be of a smaller network, which then grows into this one: it starts by
+    /// computing the same, with what is new random and unheard.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub grow: bool,
     /// Share of the old average kept at each step by the averaged weights; 0 turns averaging off.
     #[serde(default = "default_average")]
     pub average: f64,

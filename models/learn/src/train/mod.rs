@@ -217,13 +217,15 @@ fn first_weights(settings: &Settings, device: &Device) -> Result<Weights, TrainE
         None => Ok(Weights::initial(&config, settings.seed, device)?),
         Some(path) => {
             let weights = Weights::read(path, device)?;
-            weights
-                .check(&config)
-                .map_err(|error: WeightsError| TrainError::Checkpoint {
-                    path: path.clone(),
-                    fault: error.to_string(),
-                })?;
-            Ok(weights)
+            let fitted = if settings.grow {
+                weights.grown(&config, settings.seed)
+            } else {
+                weights.check(&config).map(|()| weights)
+            };
+            fitted.map_err(|error: WeightsError| TrainError::Checkpoint {
+                path: path.clone(),
+                fault: error.to_string(),
+            })
         }
     }
 }
@@ -291,6 +293,7 @@ fn first_difference(before: &Settings, now: &Settings) -> Option<String> {
         ("variant", before.variant != now.variant),
         ("seed", before.seed != now.seed),
         ("init", before.init != now.init),
+        ("grow", before.grow != now.grow),
         ("average", before.average != now.average),
         ("data", before.data != now.data),
         ("augment", before.augment != now.augment),
