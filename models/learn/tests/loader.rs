@@ -43,6 +43,7 @@ fn recipe(cache: &Cache, kind: Kind) -> Recipe {
             checkpoint_every: 1,
             collapse_margin: 1.0,
             go_on_collapsed: true,
+            loss: None,
         },
         augment: Augment {
             flip: 0.5,

@@ -51,6 +51,19 @@ fn settings_survive_their_own_text() {
 }
 
 #[test]
+fn a_stage_may_minimise_something_of_its_own() {
+    let text = GOOD.replace("[[stages]]", "[loss]\nssim = 0.5\n[[stages]]");
+    let own = "checkpoint_every = 5\n[stages.loss]\nedge = 0.25";
+    let settings = Settings::from_toml(&text.replace("checkpoint_every = 5", own)).unwrap();
+    let loss = settings.loss_of(&settings.stages[0]);
+    // What it does not name is the paper's, not the settings'.
+    assert_eq!((loss.edge, loss.ssim), (0.25, 0.05));
+    assert_eq!(Settings::from_toml(&settings.to_toml()).unwrap(), settings);
+    let plain = Settings::from_toml(&text).unwrap();
+    assert_eq!(plain.loss_of(&plain.stages[0]).ssim, 0.5);
+}
+
+#[test]
 fn seeds_of_validation_and_test_are_not_trained_on() {
     let wrong = |seeds: &str| error("\"A\", seeds = [0, 16]", &format!("\"A\", seeds = {seeds}"));
     let beyond = wrong("[99990, 100001]");
@@ -100,6 +113,11 @@ fn each_wrong_number_is_named() {
             "[[stages]]",
             "[loss]\nssim = -1.0\n[[stages]]",
             "loss.ssim is -1",
+        ),
+        (
+            "checkpoint_every = 5",
+            "checkpoint_every = 5\n[stages.loss]\nedge = 2e3",
+            "stages[0].loss.edge is 2000",
         ),
         (
             "[[stages]]",

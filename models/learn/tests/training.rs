@@ -292,3 +292,23 @@ fn one_exposure_is_learnt_by_heart() {
     println!("first {}, last {ours}, nearest {nearest}", losses[0]);
     assert!(ours < 0.5 * nearest, "{ours}, nearest {nearest}");
 }
+
+#[test]
+fn a_stage_trains_and_is_validated_on_its_own_loss() {
+    let root = tempfile::tempdir().unwrap();
+    let run = |name: &str, stages: &str| {
+        let settings = settings(root.path(), stages);
+        let start = start(root.path().join(name));
+        let (losses, found, outcome) = train(&mut open(&settings, start).unwrap(), None);
+        outcome.unwrap();
+        (losses, found[0].pictures.unwrap().loss)
+    };
+    let plain = stage("1", 4, "go_on_collapsed = true");
+    let own = "[stages.loss]\ncharbonnier = 3.0";
+    let other = run("own", &format!("{plain}{own}"));
+    let (all, _) = plain.split_once("[[stages]]").unwrap();
+    let all = format!("{all}[loss]\ncharbonnier = 3.0\n{plain}");
+    assert_eq!(other, run("all", &all));
+    let usual = run("usual", &plain);
+    assert!(other.0[0] > 1.5 * usual.0[0] && other.1 > 1.5 * usual.1);
+}

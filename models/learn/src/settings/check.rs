@@ -76,7 +76,7 @@ impl Settings {
         self.gpu()?;
         self.check_data()?;
         self.augment.check()?;
-        self.loss.check()?;
+        self.loss.check("loss")?;
         if self.stages.is_empty() {
             return Err(number("stages", "empty", "one or more"));
         }
@@ -237,7 +237,7 @@ impl Augment {
 }
 
 impl Loss {
-    pub(super) fn check(&self) -> Result<(), SettingsError> {
+    fn check(&self, table: &str) -> Result<(), SettingsError> {
         let weights = [
             ("charbonnier", self.charbonnier),
             ("charbonnier_guard", self.charbonnier_guard),
@@ -256,7 +256,7 @@ impl Loss {
             .iter()
             .find(|(_, weight)| !(0.0..=1e3).contains(weight))
         {
-            Some((key, value)) => Err(number(format!("loss.{key}"), value, "0 to 1000")),
+            Some((key, value)) => Err(number(format!("{table}.{key}"), value, "0 to 1000")),
             None => Ok(()),
         }
     }
@@ -299,6 +299,9 @@ impl Stage {
                 0,
                 "1 or more, as checkpoint_every",
             ));
+        }
+        if let Some(loss) = &self.loss {
+            loss.check(&key("loss"))?;
         }
         share(&key("collapse_margin"), self.collapse_margin)
     }

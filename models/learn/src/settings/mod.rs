@@ -53,7 +53,7 @@ pub struct Settings {
     /// How examples are varied.
     #[serde(default)]
     pub augment: Augment,
-    /// What is minimised.
+    /// What is minimised, where a stage does not say otherwise.
     #[serde(default)]
     pub loss: Loss,
     /// What is done, in order.
@@ -265,6 +265,9 @@ pub struct Stage {
     /// Stage 1 alone: go on to the next stage even where it was not passed.
     #[serde(default)]
     pub go_on_collapsed: bool,
+    /// What this stage minimises, in place of the settings' `loss`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub loss: Option<Loss>,
 }
 
 const fn one() -> usize {
@@ -287,6 +290,11 @@ const fn default_margin() -> f64 {
 }
 
 impl Settings {
+    /// What `stage` minimises.
+    pub fn loss_of(&self, stage: &Stage) -> Loss {
+        stage.loss.unwrap_or(self.loss)
+    }
+
     /// Reads and checks a file.
     ///
     /// # Errors

@@ -71,9 +71,9 @@ impl Run {
         let recipe = Recipe {
             examples: Arc::clone(&self.examples),
             size: self.settings.data.size,
+            loss: self.settings.loss_of(&stage),
             stage: stage.clone(),
             augment: self.settings.augment.clone(),
-            loss: self.settings.loss,
             seed: [u64::from(self.settings.seed), self.place.stage as u64],
             depth_max_m: self.model.config().d_max as f32,
         };
@@ -101,7 +101,7 @@ impl Run {
         } else {
             Pass::plain()
         };
-        let weights = self.settings.loss;
+        let weights = self.settings.loss_of(&tools.stage);
         let found = batch_loss(&tools.network, kind, &inputs, &weights, &mut pass)?;
         let BatchLoss {
             total,
@@ -155,7 +155,7 @@ impl Run {
         report: &mut dyn FnMut(&Report<'_>),
     ) -> Result<Option<Validation>, TrainError> {
         let weights = self.average.weights(&self.model)?;
-        let loss = self.settings.loss;
+        let loss = self.settings.loss_of(stage);
         let Some((mut found, grid)) = self.validator.run(&weights, stage.kind, &loss, stop)? else {
             return Err(self.interrupted(adam)?);
         };
