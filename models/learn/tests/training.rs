@@ -311,4 +311,7 @@ fn a_stage_trains_and_is_validated_on_its_own_loss() {
     assert_eq!(other, run("all", &all));
     let usual = run("usual", &plain);
     assert!(other.0[0] > 1.5 * usual.0[0] && other.1 > 1.5 * usual.1);
+    // One exposure: blurred, and three steps restored and sharp.
+    let sheet = noctule_depth::Canvas::load_png(root.path().join("own/grid.png")).unwrap();
+    assert!(sheet.width() > 7 * 32 && sheet.height() > 32);
 }

@@ -107,6 +107,7 @@ impl Run {
             total,
             terms,
             beside,
+            ..
         } = found;
         let loss = scalar(&total)?;
         if !loss.is_finite() {

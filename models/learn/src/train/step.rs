@@ -17,6 +17,8 @@ pub struct BatchLoss {
     pub terms: Vec<(&'static str, f64)>,
     /// Restoration alone: beside what its loss must be seen.
     pub beside: Option<Beside>,
+    /// Restoration alone: the pictures, `[B, n, 3, H, W]`, detached.
+    pub restored: Option<Tensor>,
 }
 
 /// What tells learning from collapse in stage 1.
@@ -73,6 +75,7 @@ pub fn batch_loss(
         terms: scalars(&terms)?,
         total: priced(loss.total)?,
         beside: None,
+        restored: None,
     })
 }
 
@@ -125,6 +128,7 @@ fn restoration_loss(
             blurred: scalar(&against_truth(&still)?.total)?,
             spread: temporal_spread(&restored.detach())?,
         }),
+        restored: Some(restored.detach()),
         total: loss.total,
     })
 }

@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use candle_core::Tensor;
 use noctule_depth::{Completer, Score, ScoreTable, Size};
 use noctule_erunet::{Network, Norms, Pass, Plan, PlanOptions, Weights};
 use noctule_world::STEPS;
@@ -10,7 +11,7 @@ use serde::Serialize;
 
 use super::error::TrainError;
 use super::step::{batch_loss, scalar};
-use crate::batch::{Batch, BatchError};
+use crate::batch::{Batch, BatchError, Inputs};
 use crate::cache::{Example, Examples};
 use crate::eval::{Gallery, Scene, Withheld, complete};
 use crate::score::{DEPTH_CAP_M, Truth, score_sequence};
@@ -179,6 +180,7 @@ impl Validator {
         let held = self.nights.as_ref().or(self.kitti.as_ref());
         let examples = &held.ok_or_else(no_truth)?.examples;
         let share = 1.0 / examples.len() as f64;
+        let mut grid = Gallery::default();
         for index in 0..examples.len() {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
@@ -196,6 +198,8 @@ impl Validator {
                 mean.blurred += share * beside.blurred;
                 mean.spread += share * beside.spread;
             }
+            let place = (index, examples.len());
+            draw_restored(&mut grid, place, &example, &inputs, found.restored)?;
         }
         let validation = Validation {
             stage: Kind::Restore.name(),
@@ -205,7 +209,7 @@ impl Validator {
             depth: None,
             kitti: None,
         };
-        Ok(Some((validation, Gallery::default())))
+        Ok(Some((validation, grid)))
     }
 
     /// Depth, through the compiled plan that vehicles use.
@@ -283,6 +287,25 @@ fn shares(mean: &Score, nearest: &Score, table: &ScoreTable) -> DepthValidation 
         mae_mm: mean.metrics.mae_mm,
         last_over_first: of_step(STEPS as u64 - 1) / of_step(0),
     }
+}
+
+/// Keeps the restored pictures of an exposure for the sheet.
+fn draw_restored(
+    grid: &mut Gallery,
+    place: (usize, usize),
+    example: &Example,
+    inputs: &Inputs,
+    restored: Option<Tensor>,
+) -> Result<(), TrainError> {
+    let (Some(restored), Some(truth)) = (restored, &inputs.pictures) else {
+        return Ok(());
+    };
+    let plain = |tensor: &Tensor| tensor.flatten_all()?.to_vec1::<f32>();
+    let (blur, sharp) = (plain(&inputs.blur)?, plain(&truth.sharp)?);
+    let label = format!("{} {}", example.origin.letter(), example.seed);
+    let size = Size::new(example.size, example.size)?;
+    let pictures = [&plain(&restored)?[..], &sharp];
+    Ok(grid.add_restored(place, (&label, size), &blur, pictures)?)
 }
 
 fn no_truth() -> TrainError {
