@@ -16,11 +16,15 @@ use super::{Failure, Outcome, named, progress, stop_on_signals};
 /// Arguments of `noctule eval`.
 #[derive(Debug, clap::Args)]
 pub struct Arguments {
-    /// Networks: `xs` (part of the program) or weights files; baselines are always there
+    /// Networks: `xs`, `s` (part of the program) or weights files; baselines are always there
     #[arg(long, value_name = "NAME|FILE", value_delimiter = ',')]
     weights: Vec<String>,
     /// `world:TIER:FIRST..LAST` (seeds, last excluded), `rec:DIR`, `kitti:ROOT`, `nyu:ROOT` or
     /// `rgbd:ROOT`
+    ///
+    /// kitti: official folders of depth completion or of raw drives with their calibration. nyu: raw
+    /// scenes, pre-processed `00001.h5`, or `nyu_depth_v2_labeled.mat` with `splits.mat` beside it,
+    /// whose frames for testing are scored. rgbd: sequences as 7-Scenes has them.
     #[arg(long, required_unless_present = "merge")]
     data: Option<DataSet>,
     /// What is printed
