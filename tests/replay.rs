@@ -19,8 +19,7 @@ use serde_json::json;
 
 mod recordings;
 use recordings::{
-    GRID, clean, copy_of, cut, drop_datagram, edit_meta, flip_event_bit, lone_file, raised_by,
-    rough, without,
+    GRID, clean, copy_of, cut, drop_datagram, edit_meta, flip_event_bit, lone_file, rough, without,
 };
 
 /// How a recording is run.
