@@ -7,7 +7,7 @@
 
 use candle_core::{IndexOp, Tensor};
 
-use crate::config::{Config, ConfigError};
+use crate::config::Config;
 use crate::weights::{Weights, WeightsError};
 
 impl Weights {
@@ -50,7 +50,6 @@ fn is_last_word(name: &str) -> bool {
 /// What keeps one configuration from holding the other.
 fn obstacle(from: &Config, to: &Config) -> Option<String> {
     if let Err(error) = to.validate() {
-        let error: ConfigError = error;
         return Some(error.to_string());
     }
     let same = |config: &Config| {

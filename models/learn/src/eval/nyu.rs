@@ -50,7 +50,7 @@ impl NyuScenes {
                 Ok(Self { source })
             }
             NyuLayout::Labelled { set, splits } => {
-                let frames = test_frames(&splits)?;
+                let frames = test_frames(&set, &splits)?;
                 let source = Source::Labelled { set, frames };
                 Ok(Self { source })
             }
@@ -142,7 +142,7 @@ fn still(root: &Path, path: &Path) -> Result<Scene, EvalError> {
 }
 
 #[cfg(feature = "hdf5")]
-fn test_frames(splits: &Path) -> Result<Vec<u32>, ReadError> {
+fn test_frames(_: &Path, splits: &Path) -> Result<Vec<u32>, ReadError> {
     crate::read::nyu_test_frames(splits)
 }
 
@@ -153,8 +153,8 @@ fn labelled(set: &Path, frame: u32) -> Result<Scene, EvalError> {
 }
 
 #[cfg(not(feature = "hdf5"))]
-fn test_frames(splits: &Path) -> Result<Vec<u32>, ReadError> {
-    Err(not_read(splits))
+fn test_frames(set: &Path, _: &Path) -> Result<Vec<u32>, ReadError> {
+    Err(not_read(set))
 }
 
 #[cfg(not(feature = "hdf5"))]
