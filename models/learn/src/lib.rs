@@ -40,13 +40,12 @@ pub use eval::{
     RgbdScenes, Row, Scene, Scenes, Scores, Share, Withheld, WorldScenes, csv, evaluate, markdown,
 };
 pub use loss::{DepthLoss, PictureLoss, depth_loss, picture_loss};
-#[cfg(feature = "hdf5")]
-pub use read::read_nyu_still;
 pub use read::{
     BENCHMARK_HEIGHT, BENCHMARK_WIDTH, BenchmarkDrive, Calibration, ColourCamera, Drive, NyuLayout,
     NyuPair, Projected, RINGS, ReadError, RgbdFrame, ScanPoint, SelectedFrame, Selection, Split,
-    Window, benchmark_drives, is_validation_drive, nyu_pairs, raw_drives, read_scan, rgbd_frames,
-    rgbd_sequences, rings_by_elevation, rings_by_order, sparse_depth,
+    Window, benchmark_drives, is_validation_drive, nyu_pairs, nyu_test_frames, raw_drives,
+    read_nyu_labelled, read_nyu_still, read_scan, rgbd_frames, rgbd_sequences, rings_by_elevation,
+    rings_by_order, sparse_depth,
 };
 pub use score::{DEPTH_CAP_M, DEPTH_MIN_M, Truth, score_sequence};
 pub use settings::{

@@ -275,11 +275,18 @@ fn of_the_labelled_set_the_frames_for_testing_are_scored() {
 fn hdf5_is_refused_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("00001.h5"), b"").unwrap();
-    let error = NyuScenes::open(folder.path()).unwrap_err().to_string();
+    let scenes = NyuScenes::open(folder.path()).unwrap();
+    let error = scenes.scene(0).unwrap_err().to_string();
     assert!(
-        error.contains("00001.h5: is HDF5, which this build does not read"),
+        error.contains("00001.h5: is read by builds with the feature hdf5"),
         "{error}"
     );
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["nyu_depth_v2_labeled.mat", "splits.mat"] {
+        fs::write(folder.path().join(name), b"").unwrap();
+    }
+    let error = NyuScenes::open(folder.path()).unwrap_err().to_string();
+    assert!(error.contains("splits.mat: is read by"), "{error}");
 }
 
 #[test]

@@ -33,7 +33,6 @@ const CAP_M: f32 = 10.0;
 /// Salt of the points' chance.
 const DRAW: u64 = 0x726f_6f6d;
 /// Period that stands for a frame which does not move, microseconds: an eighth of the exposure.
-#[cfg(feature = "hdf5")]
 const STILL_US: u32 = 33_333;
 
 /// One frame, wherever it lies.
@@ -164,7 +163,6 @@ impl<F: RoomFrame> RoomWindow<F> {
 ///
 /// # Errors
 /// [`EvalError`], naming the file, when it has another size or no depth.
-#[cfg(feature = "hdf5")]
 pub(super) fn still(
     name: &str,
     path: &Path,

@@ -12,9 +12,11 @@ use std::path::{Path, PathBuf};
 use noctule_world::STEPS;
 
 use super::error::EvalError;
-use super::indoor::{RoomWindow, folder_name, windows};
+use super::indoor::{self, RoomWindow, folder_name, windows};
 use super::scene::{Scene, Scenes};
-use crate::read::{NyuLayout, NyuPair, ReadError, nyu_pairs};
+use crate::read::{
+    NyuLayout, NyuPair, ReadError, nyu_pairs, nyu_test_frames, read_nyu_labelled, read_nyu_still,
+};
 
 /// Longest time from one picture to the next, seconds: 20 Hz, and half as much again.
 const GAP_S_MAX: f64 = 0.075;
@@ -36,13 +38,11 @@ impl NyuScenes {
     /// Finds what can be scored at `root`: a scene, a folder of scenes or of such folders.
     ///
     /// # Errors
-    /// [`ReadError`], when nothing can be scored, a file's name is not understood, or the folder
-    /// holds HDF5 and this build does not read it.
+    /// [`ReadError`], when nothing can be scored, or a file's name or list is not understood.
     pub fn open(root: &Path) -> Result<Self, ReadError> {
         match NyuLayout::of(root)? {
             NyuLayout::Raw(scenes) => Self::raw(root, &scenes),
             NyuLayout::Stills(files) => {
-                refuse_hdf5(&files)?;
                 let source = Source::Stills {
                     root: root.into(),
                     files,
@@ -50,7 +50,7 @@ impl NyuScenes {
                 Ok(Self { source })
             }
             NyuLayout::Labelled { set, splits } => {
-                let frames = test_frames(&set, &splits)?;
+                let frames = nyu_test_frames(&splits)?;
                 let source = Source::Labelled { set, frames };
                 Ok(Self { source })
             }
@@ -125,64 +125,13 @@ impl Scenes for NyuScenes {
     }
 }
 
-#[cfg(feature = "hdf5")]
-fn refuse_hdf5(_: &[PathBuf]) -> Result<(), ReadError> {
-    Ok(())
-}
-
-#[cfg(feature = "hdf5")]
 fn still(root: &Path, path: &Path) -> Result<Scene, EvalError> {
-    let (picture, depth) = crate::read::read_nyu_still(path)?;
-    super::indoor::still(
-        &folder_name(root, &path.with_extension("")),
-        path,
-        &picture,
-        &depth,
-    )
+    let (picture, depth) = read_nyu_still(path)?;
+    let name = folder_name(root, &path.with_extension(""));
+    indoor::still(&name, path, &picture, &depth)
 }
 
-#[cfg(feature = "hdf5")]
-fn test_frames(_: &Path, splits: &Path) -> Result<Vec<u32>, ReadError> {
-    crate::read::nyu_test_frames(splits)
-}
-
-#[cfg(feature = "hdf5")]
 fn labelled(set: &Path, frame: u32) -> Result<Scene, EvalError> {
-    let (picture, depth) = crate::read::read_nyu_labelled(set, frame)?;
-    super::indoor::still(&format!("labelled:{frame:04}"), set, &picture, &depth)
-}
-
-#[cfg(not(feature = "hdf5"))]
-fn test_frames(set: &Path, _: &Path) -> Result<Vec<u32>, ReadError> {
-    Err(not_read(set))
-}
-
-#[cfg(not(feature = "hdf5"))]
-fn labelled(set: &Path, _: u32) -> Result<Scene, EvalError> {
-    Err(not_read(set).into())
-}
-
-#[cfg(not(feature = "hdf5"))]
-fn refuse_hdf5(files: &[PathBuf]) -> Result<(), ReadError> {
-    Err(not_read(
-        files
-            .first()
-            .map_or(Path::new("00001.h5"), PathBuf::as_path),
-    ))
-}
-
-#[cfg(not(feature = "hdf5"))]
-fn still(_: &Path, path: &Path) -> Result<Scene, EvalError> {
-    Err(not_read(path).into())
-}
-
-#[cfg(not(feature = "hdf5"))]
-fn not_read(path: &Path) -> ReadError {
-    ReadError::Content {
-        path: path.into(),
-        fault: "is HDF5, which this build does not read: build with the feature hdf5, or convert \
-                to SCENE/r-TIME-COUNT.ppm (P6) and SCENE/d-TIME-COUNT.pgm (P5 of 16 bits, raw \
-                disparity, low byte first)"
-            .into(),
-    }
+    let (picture, depth) = read_nyu_labelled(set, frame)?;
+    indoor::still(&format!("labelled:{frame:04}"), set, &picture, &depth)
 }

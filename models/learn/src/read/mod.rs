@@ -20,6 +20,8 @@ mod rings;
 mod selection;
 mod velodyne;
 mod window;
+#[cfg(not(feature = "hdf5"))]
+mod without_hdf5;
 
 pub use benchmark::{BenchmarkDrive, Split, benchmark_drives};
 pub use calibration::{Calibration, ColourCamera, Projected};
@@ -36,3 +38,5 @@ pub use rings::{RINGS, rings_by_elevation, rings_by_order};
 pub use selection::{SelectedFrame, Selection};
 pub use velodyne::{ScanPoint, read_scan, sparse_depth};
 pub use window::{BENCHMARK_HEIGHT, BENCHMARK_WIDTH, Window};
+#[cfg(not(feature = "hdf5"))]
+pub use without_hdf5::{nyu_test_frames, read_nyu_labelled, read_nyu_still};
