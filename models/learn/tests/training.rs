@@ -5,6 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
+use candle_core::Device;
+use noctule_erunet::{Config, Weights};
 use noctule_learn::{Cache, Kind, Run, Settings, Start, TrainError};
 
 mod sitting;
@@ -306,12 +308,37 @@ fn a_stage_trains_and_is_validated_on_its_own_loss() {
     let plain = stage("1", 4, "go_on_collapsed = true");
     let own = "[stages.loss]\ncharbonnier = 3.0";
     let other = run("own", &format!("{plain}{own}"));
-    let (all, _) = plain.split_once("[[stages]]").unwrap();
-    let all = format!("{all}[loss]\ncharbonnier = 3.0\n{plain}");
+    let all = format!("[loss]\ncharbonnier = 3.0\n{plain}");
     assert_eq!(other, run("all", &all));
     let usual = run("usual", &plain);
     assert!(other.0[0] > 1.5 * usual.0[0] && other.1 > 1.5 * usual.1);
     // One exposure: blurred, and three steps restored and sharp.
     let sheet = noctule_depth::Canvas::load_png(root.path().join("own/grid.png")).unwrap();
     assert!(sheet.width() > 7 * 32 && sheet.height() > 32);
+}
+
+#[test]
+fn a_run_grows_what_it_starts_from_where_it_is_told_to() {
+    let root = tempfile::tempdir().unwrap();
+    let small = root.path().join("xs.safetensors");
+    let xs = Weights::initial(&Config::xs(), 1, &Device::Cpu).unwrap();
+    xs.write(&small).unwrap();
+    let mut settings = settings(root.path(), &stage("joint", 1, ""));
+    settings.member = "s".into();
+    settings.init = Some(small);
+    let start = |name: &str| start(root.path().join(name));
+    let refused = open(&settings, start("refused")).err().unwrap().to_string();
+    assert!(refused.contains("xs.safetensors"), "{refused}");
+    settings.grow = true;
+    let (_, _, outcome) = train(&mut open(&settings, start("grown")).unwrap(), None);
+    outcome.unwrap();
+    let grown = root.path().join("grown/last.safetensors");
+    let grown = Weights::read(&grown, &Device::Cpu).unwrap();
+    grown.check(&Config::s()).unwrap();
+    // One small step from where it started: what it had is still there.
+    let name = "rdu.depth.down1.conv.weight";
+    let had = grown.tensors()[name].narrow(1, 0, 8).unwrap();
+    let apart = (had - &xs.tensors()[name]).unwrap().abs().unwrap();
+    let apart = apart.max_all().unwrap().to_scalar::<f32>().unwrap();
+    assert!(apart < 0.01, "{apart}");
 }
