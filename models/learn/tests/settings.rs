@@ -126,6 +126,11 @@ fn each_wrong_number_is_named() {
         ),
         (
             "[[stages]]",
+            "[augment]\nover_movers = -0.1\n[[stages]]",
+            "augment.over_movers is -0.1",
+        ),
+        (
+            "[[stages]]",
             "[augment]\ngain = [2.0, 1.0]\n[[stages]]",
             "augment.gain",
         ),

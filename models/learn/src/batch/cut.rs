@@ -5,6 +5,7 @@ use noctule_world::STEPS;
 
 use super::crop::Crop;
 use super::vary::{self, Purpose, Vary};
+use crate::cache::Example;
 use crate::chance::Chance;
 use crate::settings::{Augment, Domain};
 
@@ -81,6 +82,35 @@ impl Cut {
             gain: chance.between(low.ln(), high.ln()).exp(),
             vary: Vary::random(augment, key),
         }
+    }
+
+    /// Moves the square over an outline of what moves on its own, where that is drawn and there is
+    /// one: each row of an outline is as likely, and it comes to lie in the middle half if it can.
+    pub(super) fn over_movers(&mut self, example: &Example, probability: f64) {
+        let mut chance = vary::of(self.vary.key, Purpose::Movers);
+        let is_drawn = chance.happens(probability);
+        let (size, (first, steps)) = (example.size, self.window);
+        let area = size * size;
+        let rows = || (first * size..(first + steps) * size).map(|row| row * size);
+        let ends = |start: usize| {
+            let row = &example.movers[start..start + size];
+            (1..size)
+                .filter(|x| row[x - 1] != row[*x])
+                .map(move |x| start + x)
+        };
+        let count = rows().flat_map(ends).count();
+        if !is_drawn || count == 0 {
+            return;
+        }
+        let Some(at) = rows().flat_map(ends).nth(chance.below(count)) else {
+            return;
+        };
+        let span = self.crop.span;
+        let mut start = |at: usize| {
+            let before = span / 4 + chance.below(span.div_ceil(2));
+            at.saturating_sub(before).min(size - span)
+        };
+        (self.crop.x0, self.crop.y0) = (start(at % size), start(at % area / size));
     }
 
     /// The example's ground in the cut's own pixels, as the network is told of it.

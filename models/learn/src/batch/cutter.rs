@@ -249,6 +249,34 @@ mod tests {
     }
 
     #[test]
+    fn crops_are_laid_over_outlines_of_movers() {
+        let mut example = Example::render(7, Tier::B, SIZE).expect("an example");
+        example.movers.fill(false);
+        let plain = |seed| drawn(&Augment::default(), seed);
+        let laid = |example: &Example, seed, probability| {
+            let mut cut = plain(seed);
+            cut.over_movers(example, probability);
+            assert_eq!(
+                (cut.crop.span, cut.crop.flip),
+                (SIDE, plain(seed).crop.flip)
+            );
+            (cut.crop.x0, cut.crop.y0)
+        };
+        let was = |seed| (plain(seed).crop.x0, plain(seed).crop.y0);
+        assert!((0..100).all(|seed| laid(&example, seed, 1.0) == was(seed)));
+        // The window is of steps 3 to 6.
+        for (step, x, y) in [(2, 5, 5), (4, 40, 61), (7, 60, 2)] {
+            example.movers[((step - 1) * SIZE + y) * SIZE + x] = true;
+        }
+        let corners: Vec<_> = (0..200).map(|seed| laid(&example, seed, 1.0)).collect();
+        assert!(corners.iter().all(|(_, y0)| *y0 == SIZE - SIDE));
+        let columns = || corners.iter().map(|(x0, _)| *x0);
+        assert_eq!((columns().min(), columns().max()), (Some(17), Some(32)));
+        let moved = (0..200).filter(|seed| laid(&example, *seed, 0.5) != was(*seed));
+        assert!((70..=130).contains(&moved.count()));
+    }
+
+    #[test]
     fn each_change_touches_its_own_field_alone() {
         let example = Example::render(7, Tier::B, SIZE).expect("an example");
         let plain = made(&example, &drawn(&Augment::default(), 4));

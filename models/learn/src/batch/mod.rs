@@ -289,7 +289,7 @@ impl Recipe {
         };
         for (place, index) in (0..).zip(order.of_batch(number)) {
             let mut chance = Chance::of(&[CUT, run, stage, number, place]);
-            let cut = Cut::random(
+            let mut cut = Cut::random(
                 &self.augment,
                 self.size,
                 self.stage.crop,
@@ -297,6 +297,7 @@ impl Recipe {
                 &mut chance,
             );
             let example = self.examples.read(index, wanted.pictures.is_some())?;
+            cut.over_movers(&example, self.augment.over_movers);
             batch.places.push((example.origin.letter(), example.seed));
             batch.grounds.push(cut.ground(example.ground.as_ref()));
             batch.append(cutter.cut(&example, &cut, wanted, &mut chance)?);

@@ -24,6 +24,7 @@ pub(super) enum Purpose {
     ReadNoise,
     Bits,
     Ground,
+    Movers,
 }
 
 /// Strengths of the changes to sensors; all neutral by default.

@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 pub struct Augment {
     /// Probability of exchanging left and right.
     pub flip: f64,
+    /// Probability that the crop is laid over an outline of something that moves on its own, where
+    /// there is one.
+    pub over_movers: f64,
     /// Largest share of events lost.
     pub event_drop_max: f64,
     /// Largest number of made-up events per pixel and exposure.
@@ -50,6 +53,7 @@ impl Default for Augment {
     fn default() -> Self {
         Self {
             flip: 0.0,
+            over_movers: 0.0,
             event_drop_max: 0.0,
             event_noise_max: 0.0,
             return_drop_max: 0.0,

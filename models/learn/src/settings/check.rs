@@ -191,6 +191,7 @@ fn check_drives(key: &str, drives: &[Drives], allowed: Range<u64>) -> Result<(),
 impl Augment {
     pub(super) fn check(&self) -> Result<(), SettingsError> {
         share("augment.flip", self.flip)?;
+        share("augment.over_movers", self.over_movers)?;
         share("augment.event_drop_max", self.event_drop_max)?;
         share("augment.return_drop_max", self.return_drop_max)?;
         share("augment.zoom", self.zoom)?;
