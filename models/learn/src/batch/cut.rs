@@ -88,23 +88,20 @@ impl Cut {
     /// one: each row of an outline is as likely, and it comes to lie in the middle half if it can.
     pub(super) fn over_movers(&mut self, example: &Example, probability: f64) {
         let mut chance = vary::of(self.vary.key, Purpose::Movers);
-        let is_drawn = chance.happens(probability);
-        let (size, (first, steps)) = (example.size, self.window);
-        let area = size * size;
-        let rows = || (first * size..(first + steps) * size).map(|row| row * size);
-        let ends = |start: usize| {
-            let row = &example.movers[start..start + size];
-            (1..size)
-                .filter(|x| row[x - 1] != row[*x])
-                .map(move |x| start + x)
-        };
-        let count = rows().flat_map(ends).count();
-        if !is_drawn || count == 0 {
+        if !chance.happens(probability) {
             return;
         }
-        let Some(at) = rows().flat_map(ends).nth(chance.below(count)) else {
+        let (size, (first, steps)) = (example.size, self.window);
+        let area = size * size;
+        let is_end =
+            |i: &usize| !i.is_multiple_of(size) && example.movers[i - 1] != example.movers[*i];
+        let outline: Vec<usize> = (first * area..(first + steps) * area)
+            .filter(is_end)
+            .collect();
+        if outline.is_empty() {
             return;
-        };
+        }
+        let at = outline[chance.below(outline.len())];
         let span = self.crop.span;
         let mut start = |at: usize| {
             let before = span / 4 + chance.below(span.div_ceil(2));
