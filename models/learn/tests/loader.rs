@@ -221,3 +221,25 @@ fn losing_events_and_returns_loses_them() {
     );
     assert!(some.0 > 0 && some.1 > 0);
 }
+
+#[test]
+fn crops_over_movers_show_more_of_them() {
+    let root = tempfile::tempdir().unwrap();
+    let cache = prepared(root.path());
+    let mut anywhere = recipe(&cache, Kind::Complete);
+    anywhere.augment = Augment::default();
+    anywhere.stage.crop = 8;
+    anywhere.loss.depth_movers = 1.0;
+    let mut over = anywhere.clone();
+    over.augment.over_movers = 1.0;
+    let seen = |recipe: &Recipe| -> f32 {
+        let share = |batch: &Batch| {
+            let inputs = batch.to_device(&candle_core::Device::Cpu).unwrap();
+            let movers = inputs.movers.unwrap().mean_all().unwrap();
+            movers.to_scalar::<f32>().unwrap()
+        };
+        take(recipe, 0, 1, 30).iter().map(share).sum()
+    };
+    let (anywhere, over) = (seen(&anywhere), seen(&over));
+    assert!(anywhere > 0.0 && over > 1.5 * anywhere, "{over} {anywhere}");
+}

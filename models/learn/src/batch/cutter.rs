@@ -264,6 +264,12 @@ mod tests {
         };
         let was = |seed| (plain(seed).crop.x0, plain(seed).crop.y0);
         assert!((0..100).all(|seed| laid(&example, seed, 1.0) == was(seed)));
+        // Nor has a band from side to side an outline in any row.
+        for step in example.movers.chunks_exact_mut(SIZE * SIZE) {
+            step[10 * SIZE..20 * SIZE].fill(true);
+        }
+        assert!((0..100).all(|seed| laid(&example, seed, 1.0) == was(seed)));
+        example.movers.fill(false);
         // The window is of steps 3 to 6.
         for (step, x, y) in [(2, 5, 5), (4, 40, 61), (7, 60, 2)] {
             example.movers[((step - 1) * SIZE + y) * SIZE + x] = true;
