@@ -27,6 +27,13 @@ pub(crate) const DROP: usize = 3;
 pub(crate) const RISE: usize = 4;
 /// The plane that says how much farther than that return the ground lies, if it is known.
 const GROUND: usize = 5;
+/// The plane that says how high above the ground the pixel is if it has that return's depth, in
+/// heights of the camera: 0 on the road, 1 on the horizon. It tells the roof of a car from what
+/// is behind it where no ring has hit it.
+const HEIGHT: usize = 6;
+
+/// Heights beyond these are held to them, in heights of the camera.
+const HEIGHTS: [f32; 2] = [-1.0, 4.0];
 
 /// Completes maps of one size; allocates once.
 pub(crate) struct Prefill {
@@ -44,6 +51,8 @@ struct Around {
     told: Option<Ground>,
     /// Logarithm of the ground's depth; empty where the ground is unknown.
     ground: Vec<f32>,
+    /// The ground's inverse depth, 1/m; empty where the ground is unknown.
+    inverse: Vec<f32>,
 }
 
 impl Prefill {
@@ -57,6 +66,7 @@ impl Prefill {
                     width,
                     told: None,
                     ground: Vec::with_capacity(height * width),
+                    inverse: Vec::with_capacity(height * width),
                 })
             })
             .transpose()
@@ -79,8 +89,8 @@ impl Prefill {
     }
 
     /// From `sparse` `[H, W]` in metres, 0 for no return: `nearest` `[H, W]` in metres, and `seen`
-    /// `[3 or 6, H, W]`: the nearest over the range, 1 at a return, `exp(-distance / 8 px)`, and
-    /// in the form that chooses [`DROP`], [`RISE`] and [`GROUND`].
+    /// `[3 or 7, H, W]`: the nearest over the range, 1 at a return, `exp(-distance / 8 px)`, and
+    /// in the form that chooses [`DROP`], [`RISE`], [`GROUND`] and [`HEIGHT`].
     pub(crate) fn fill(
         &mut self,
         sparse: &[f32],
@@ -88,7 +98,7 @@ impl Prefill {
         seen: &mut [f32],
     ) -> Result<()> {
         let area = nearest.len();
-        let planes = if self.around.is_some() { 6 } else { 3 };
+        let planes = if self.around.is_some() { 7 } else { 3 };
         if seen.len() != planes * area {
             candle_core::bail!("{} values for {planes} planes of {area}", seen.len());
         }
@@ -107,7 +117,8 @@ impl Prefill {
             *mask = f32::from(u8::from(*trust == 1.0));
         }
         if let Some(around) = &mut self.around {
-            let (limits, below) = limits.split_at_mut((GROUND - DROP) * area);
+            let (limits, ground) = limits.split_at_mut((GROUND - DROP) * area);
+            let (below, height) = ground.split_at_mut((HEIGHT - GROUND) * area);
             if any {
                 let found = around.reach(&self.completer, sparse, share, limits);
                 found.map_err(candle_core::Error::wrap)?;
@@ -116,6 +127,7 @@ impl Prefill {
                 share.fill((self.range_m * FALLBACK_SHARE).ln());
             }
             around.below(share, below);
+            around.height(nearest, height);
         }
         for (share, nearest) in share.iter_mut().zip(&*nearest) {
             *share = nearest / self.range_m;
@@ -128,13 +140,15 @@ impl Around {
     fn stand_on(&mut self, ground: Option<&Ground>) {
         self.told = ground.copied();
         self.ground.clear();
+        self.inverse.clear();
         let Some(ground) = ground else {
             return;
         };
         for cell in 0..self.logarithm.len() {
             let (column, row) = ((cell % self.width) as f32, (cell / self.width) as f32);
-            let inverse = ground.inverse_depth(column, row).max(f32::MIN_POSITIVE);
-            self.ground.push(-inverse.ln());
+            let inverse = ground.inverse_depth(column, row);
+            self.ground.push(-inverse.max(f32::MIN_POSITIVE).ln());
+            self.inverse.push(inverse);
         }
     }
 
@@ -146,6 +160,19 @@ impl Around {
         }
         for ((below, ground), own) in below.iter_mut().zip(&self.ground).zip(own) {
             *below = (ground - own).clamp(-LOG_SPAN, LOG_SPAN);
+        }
+    }
+
+    /// [`HEIGHT`]. The ray through the pixel falls one height of the camera down to the ground's
+    /// depth, above the horizon it rises, so that up to `nearest` it has fallen their ratio.
+    fn height(&self, nearest: &[f32], height: &mut [f32]) {
+        if self.inverse.is_empty() {
+            height.fill(0.0);
+            return;
+        }
+        let [lowest, highest] = HEIGHTS;
+        for ((height, inverse), nearest) in height.iter_mut().zip(&self.inverse).zip(nearest) {
+            *height = (1.0 - nearest * inverse).clamp(lowest, highest);
         }
     }
 
@@ -174,7 +201,7 @@ impl Around {
     }
 }
 
-/// What the depth encoder sees of a batch, `[N, 3 or 6, H, W]`, and the nearest returns
+/// What the depth encoder sees of a batch, `[N, 3 or 7, H, W]`, and the nearest returns
 /// `[N, 1, H, W]` in metres, on `device`, from `sparse` `[N, 1, H, W]` on any. Each of `grounds` is
 /// that of an equal run of maps; none means nowhere known. Computed on the processor; no gradient
 /// passes.
@@ -305,11 +332,12 @@ mod tests {
             per_row: 0.1,
             first: -0.1,
         };
-        let told = |grounds: &[Option<Ground>]| -> Vec<f32> {
+        let plane = |which: usize, grounds: &[Option<Ground>]| -> Vec<f32> {
             let (seen, _) = prefill(&sparse, grounds, Form::Choice, 80.0, &Device::Cpu).unwrap();
-            let rows = seen.narrow(1, GROUND, 1).unwrap().narrow(3, 1, 1).unwrap();
+            let rows = seen.narrow(1, which, 1).unwrap().narrow(3, 1, 1).unwrap();
             rows.flatten_all().unwrap().to_vec1().unwrap()
         };
+        let told = |grounds: &[Option<Ground>]| plane(GROUND, grounds);
         let close = |found: &[f32], wanted: [f32; 4]| {
             let is_close = found.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-5);
             assert!(is_close, "{found:?}, wanted {wanted:?}");
@@ -322,6 +350,11 @@ mod tests {
         close(&second[..4], [0.0; 4]);
         close(&second[4..], [LOG_SPAN, LOG_SPAN, 2.0_f32.ln(), 0.0]);
         close(&told(&[])[4..], [0.0; 4]);
+        let high = plane(HEIGHT, &[Some(ground)]);
+        close(&high[..4], [2.0, 1.0, 0.0, -1.0]);
+        close(&high[4..], [1.5, 1.0, 0.5, 0.0]);
+        close(&plane(HEIGHT, &[None, Some(ground)])[..4], [0.0; 4]);
+        close(&plane(HEIGHT, &[])[4..], [0.0; 4]);
         let odd = [Some(ground), None, None];
         assert!(prefill(&sparse, &odd, Form::Choice, 80.0, &Device::Cpu).is_err());
     }

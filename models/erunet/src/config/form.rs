@@ -13,8 +13,8 @@ pub enum Form {
     /// return's depth out.
     Residual,
     /// As [`Residual`](Self::Residual), and the network also sees how much nearer and how much
-    /// farther the returns around a pixel reach, and how far the ground lies where that is known;
-    /// it moves from the nearest return's depth towards either reach before the factor applies.
+    /// farther the returns around a pixel reach, and, where it is known, how far the ground lies
+    /// and how high above it the pixel would be at the nearest return's depth; it moves from the nearest return's depth towards either reach before the factor applies.
     Choice,
 }
 
@@ -24,7 +24,7 @@ impl Form {
         match self {
             Self::Direct => 2,
             Self::Residual => 3,
-            Self::Choice => 6,
+            Self::Choice => 7,
         }
     }
 

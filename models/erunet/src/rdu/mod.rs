@@ -112,7 +112,7 @@ impl Rdu {
         Ok((depth, confidence))
     }
 
-    /// What the depth encoder sees, `[N, 2 to 6, H, W]`, and what the output is a factor on.
+    /// What the depth encoder sees, `[N, 2 to 7, H, W]`, and what the output is a factor on.
     // A depth range in double precision would not outlive its first rounding.
     #[allow(
         clippy::cast_possible_truncation,
