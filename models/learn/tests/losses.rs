@@ -192,6 +192,39 @@ fn blurring_again_in_light_differs_from_averaging_codes() {
     );
 }
 
+/// Two exposures of two steps: of what moves there are three pixels, one, none, and one without truth.
+#[test]
+fn every_map_has_its_own_mean_over_what_moves() {
+    let maps = |values: [f32; 16]| {
+        let shape = (2, 2, 1, 2, 2);
+        Tensor::from_slice(&values, shape, &Device::Cpu).unwrap()
+    };
+    let truth = maps([
+        9., 9., 9., 9., 9., 9., 9., 9., // first exposure
+        9., 9., 9., 9., 0., 9., 9., 9.,
+    ]);
+    let depth = maps([
+        10., 11., 12., 9., 9., 9., 15., 9., // 1 m, 2 m, 3 m; 6 m
+        9., 9., 9., 9., 1., 9., 9., 9.,
+    ]);
+    let movers = maps([
+        1., 1., 1., 0., 0., 0., 1., 0., //
+        0., 0., 0., 0., 1., 0., 0., 0.,
+    ]);
+    let nothing = maps([0.0; 16]);
+    let total = |mover_mean: f64| -> f64 {
+        let weights = Loss {
+            mover_mean,
+            ..Loss::default()
+        };
+        let loss = depth_loss(&depth, &truth, &nothing, [None, Some(&movers)], &weights).unwrap();
+        f64::from(loss.total.to_scalar::<f32>().unwrap())
+    };
+    // Steps add up: means of 2 m and of nothing, and of 6 m and of nothing.
+    let own = (2.0 + 0.0) / 2.0 + (6.0 + 0.0) / 2.0;
+    assert!((total(3.0) - total(0.0) - 3.0 * own).abs() < 1e-5);
+}
+
 /// Two pixels of four are known; errors of 1 m and 3 m, the latter on an edge and a mover.
 #[test]
 fn extra_weights_add_what_they_say() {

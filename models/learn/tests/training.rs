@@ -318,11 +318,17 @@ fn a_stage_trains_and_is_validated_on_its_own_loss() {
     assert!(sheet.width() > 7 * 32 && sheet.height() > 32);
     // Masks that only this stage's loss asks for.
     let plain = stage("joint", 2, "");
-    let weight = "depth_edges = 3.0\ndepth_movers = 1.0";
-    let other = run("own-depth", &format!("{plain}[stages.loss]\n{weight}"));
-    let all = run("all-depth", &format!("[loss]\n{weight}\n{plain}"));
-    assert_eq!(other, all);
-    assert!(other.0[0] > run("usual-depth", &plain).0[0]);
+    let usual = run("usual-depth", &plain);
+    for (name, weight) in [
+        ("pixels", "depth_edges = 3.0\ndepth_movers = 1.0"),
+        ("mean", "mover_mean = 1.0"),
+    ] {
+        let own = format!("{plain}[stages.loss]\n{weight}");
+        let other = run(&format!("own-{name}"), &own);
+        let all = format!("[loss]\n{weight}\n{plain}");
+        assert_eq!(other, run(&format!("all-{name}"), &all));
+        assert!(other.0[0] > usual.0[0]);
+    }
 }
 
 #[test]

@@ -263,7 +263,7 @@ impl Recipe {
         Wanted {
             pictures: restores.then_some((self.loss.reblur_domain, self.loss.contrast)),
             edges: !restores && self.loss.depth_edges > 0.0,
-            movers: !restores && self.loss.depth_movers > 0.0,
+            movers: !restores && self.loss.depth_movers + self.loss.mover_mean > 0.0,
         }
     }
 

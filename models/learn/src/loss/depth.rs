@@ -57,6 +57,10 @@ pub fn depth_loss(
         let on_them = masked_mean(&(&error * movers)?, &known)?;
         total = (total + (on_them * weights.depth_movers)?)?;
     }
+    if let Some(movers) = movers.filter(|_| weights.mover_mean > 0.0) {
+        let own = mean_by_map(&error, &(movers * &known)?)?;
+        total = (total + (own * weights.mover_mean)?)?;
+    }
     Ok(DepthLoss {
         total,
         dense,
@@ -69,6 +73,14 @@ pub fn depth_loss(
 fn masked_mean(error: &Tensor, mask: &Tensor) -> Result<Tensor> {
     let by_step = |x: &Tensor| x.transpose(0, 1)?.contiguous()?.flatten_from(1)?.sum(1);
     (by_step(&(error * mask)?)? / by_step(mask)?.maximum(1f32)?)?.sum_all()
+}
+
+/// Sum over steps of the mean over exposures of each map's own mean of `error` where `mask` is one,
+/// 0 where it nowhere is.
+fn mean_by_map(error: &Tensor, mask: &Tensor) -> Result<Tensor> {
+    let of_map = |x: &Tensor| x.flatten_from(2)?.sum(2);
+    let means = (of_map(&(error * mask)?)? / of_map(mask)?.maximum(1f32)?)?;
+    means.mean(0)?.sum_all()
 }
 
 /// Forward differences along one dimension.

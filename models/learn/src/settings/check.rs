@@ -251,6 +251,7 @@ impl Loss {
             ("log_depth", self.log_depth),
             ("depth_edges", self.depth_edges),
             ("depth_movers", self.depth_movers),
+            ("mover_mean", self.mover_mean),
             ("restored_power", self.restored_power),
         ];
         match weights

@@ -163,6 +163,9 @@ pub struct Loss {
     /// How many pixels more a pixel on something that moves counts for in eq. 13; not in the
     /// paper, 0 there.
     pub depth_movers: f64,
+    /// Extra weight of eq. 13 on what moves, a mean of its own in every exposure and step, so that
+    /// something small counts for as much as something large; not in the paper, 0 there.
+    pub mover_mean: f64,
     /// Weight of the mean square of restored features, over steps, pixels and channels; not in the
     /// paper, 0 there. Normalisation behind them hides how large they are, and without a price on
     /// it the recursion learns to grow with every step until single precision runs out.
@@ -185,6 +188,7 @@ impl Default for Loss {
             log_depth: 0.0,
             depth_edges: 0.0,
             depth_movers: 0.0,
+            mover_mean: 0.0,
             restored_power: 0.0,
         }
     }
