@@ -38,6 +38,8 @@ const HEIGHTS: [f32; 2] = [-1.0, 4.0];
 /// Completes maps of one size; allocates once.
 pub(crate) struct Prefill {
     completer: Completer,
+    /// Planes seen.
+    planes: usize,
     range_m: f32,
     /// Present in the form that chooses.
     around: Option<Around>,
@@ -73,6 +75,7 @@ impl Prefill {
             .map_err(candle_core::Error::wrap)?;
         Ok(Self {
             completer,
+            planes: form.depth_channels(),
             range_m,
             around,
         })
@@ -98,7 +101,7 @@ impl Prefill {
         seen: &mut [f32],
     ) -> Result<()> {
         let area = nearest.len();
-        let planes = if self.around.is_some() { 7 } else { 3 };
+        let planes = self.planes;
         if seen.len() != planes * area {
             candle_core::bail!("{} values for {planes} planes of {area}", seen.len());
         }
@@ -118,7 +121,6 @@ impl Prefill {
         }
         if let Some(around) = &mut self.around {
             let (limits, ground) = limits.split_at_mut((GROUND - DROP) * area);
-            let (below, height) = ground.split_at_mut((HEIGHT - GROUND) * area);
             if any {
                 let found = around.reach(&self.completer, sparse, share, limits);
                 found.map_err(candle_core::Error::wrap)?;
@@ -126,8 +128,7 @@ impl Prefill {
                 limits.fill(0.0);
                 share.fill((self.range_m * FALLBACK_SHARE).ln());
             }
-            around.below(share, below);
-            around.height(nearest, height);
+            around.stand(share, nearest, ground);
         }
         for (share, nearest) in share.iter_mut().zip(&*nearest) {
             *share = nearest / self.range_m;
@@ -152,23 +153,17 @@ impl Around {
         }
     }
 
-    /// [`GROUND`], where `own` is the logarithm of the nearest return's depth.
-    fn below(&self, own: &[f32], below: &mut [f32]) {
-        if self.ground.is_empty() {
-            below.fill(0.0);
+    /// [`GROUND`] and [`HEIGHT`] into `planes`, where `own` is the logarithm of `nearest`. The ray
+    /// through a pixel falls one height of the camera down to the ground's depth (above the
+    /// horizon it rises), so that up to `nearest` it has fallen their ratio.
+    fn stand(&self, own: &[f32], nearest: &[f32], planes: &mut [f32]) {
+        if self.told.is_none() {
+            planes.fill(0.0);
             return;
         }
+        let (below, height) = planes.split_at_mut((HEIGHT - GROUND) * nearest.len());
         for ((below, ground), own) in below.iter_mut().zip(&self.ground).zip(own) {
             *below = (ground - own).clamp(-LOG_SPAN, LOG_SPAN);
-        }
-    }
-
-    /// [`HEIGHT`]. The ray through the pixel falls one height of the camera down to the ground's
-    /// depth, above the horizon it rises, so that up to `nearest` it has fallen their ratio.
-    fn height(&self, nearest: &[f32], height: &mut [f32]) {
-        if self.inverse.is_empty() {
-            height.fill(0.0);
-            return;
         }
         let [lowest, highest] = HEIGHTS;
         for ((height, inverse), nearest) in height.iter_mut().zip(&self.inverse).zip(nearest) {

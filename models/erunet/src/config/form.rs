@@ -13,8 +13,9 @@ pub enum Form {
     /// return's depth out.
     Residual,
     /// As [`Residual`](Self::Residual), and the network also sees how much nearer and how much
-    /// farther the returns around a pixel reach, and, where it is known, how far the ground lies
-    /// and how high above it the pixel would be at the nearest return's depth; it moves from the nearest return's depth towards either reach before the factor applies.
+    /// farther the returns around a pixel reach, and, where the ground is known, how far it lies
+    /// and how high above it the pixel would be at the nearest return's depth; it moves from the
+    /// nearest return's depth towards either reach before the factor applies.
     Choice,
 }
 
