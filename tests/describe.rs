@@ -3,7 +3,13 @@
 #![cfg(feature = "model")]
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::path::Path;
 use std::process::{Command, Output};
+
+use candle_core::{Device, Tensor};
+use noctule::frame::ModelId;
+use noctule::infer::shipped_weights;
+use noctule_erunet::Weights;
 
 fn weights(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_noctule"))
@@ -49,8 +55,39 @@ fn every_member_is_described_in_the_shared_form() {
 
 #[test]
 fn one_thing_at_a_time_is_asked_for() {
-    for arguments in [&["--json"][..], &["--describe", "--parity", "somewhere"]] {
+    for arguments in [
+        &["--json"][..],
+        &["--describe", "--parity", "somewhere"],
+        &["--mix", "xs", "xs"],
+        &["--describe", "--out", "somewhere"],
+    ] {
         let output = weights(arguments);
         assert_eq!(output.status.code(), Some(2), "{output:?}");
     }
+}
+
+/// A network mixed with itself is itself, but for rounding; two networks are not mixed, and both
+/// are named.
+#[test]
+fn weights_are_mixed_into_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("mean.safetensors");
+    let out = out.to_str().unwrap();
+    let output = weights(&["--mix", "xs", "xs", "--share", "0.25", "--out", out]);
+    assert!(output.status.success(), "{output:?}");
+    let mean = Weights::read(Path::new(out), &Device::Cpu).unwrap();
+    let shipped = Weights::from_bytes(shipped_weights(ModelId::Xs).unwrap(), &Device::Cpu).unwrap();
+    assert_eq!(mean.config(), shipped.config());
+    for (name, tensor) in shipped.tensors() {
+        let flat = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+        for (mean, own) in flat(&mean.tensors()[name]).iter().zip(flat(tensor)) {
+            assert!((mean - own).abs() <= 1e-6 * own.abs(), "{name}");
+        }
+    }
+    let other = folder.path().join("other.safetensors");
+    let output = weights(&["--mix", "xs", "s", "--out", other.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(said.contains("xs and s: cannot mix"), "{said}");
+    assert!(!other.exists());
 }

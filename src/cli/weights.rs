@@ -1,9 +1,10 @@
-//! `noctule weights`: what the networks are, and whether one computes what it should.
+//! `noctule weights`: what the networks are, whether one computes what it should, and the mean of two.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use noctule_erunet::{Config, Description, describe, parity};
 
+use super::named::weights;
 use super::{Failure, Outcome};
 
 /// Arguments of `noctule weights`.
@@ -17,19 +18,40 @@ pub struct Arguments {
     /// Runs the network of a fixture folder (weights, inputs, outputs, meta.json) and compares
     #[arg(long, group = "action", value_name = "DIR")]
     parity: Option<PathBuf>,
+    /// The mean of two sets of weights of one network, value by value; each `xs`, `s` or a file
+    #[arg(long, group = "action", num_args = 2, value_names = ["WEIGHTS", "OTHER"], requires = "out")]
+    mix: Option<Vec<String>>,
+    /// How much of OTHER the mean holds, 0 to 1
+    #[arg(long, value_name = "SHARE", default_value_t = 0.5, conflicts_with_all = ["describe", "parity"])]
+    share: f64,
+    /// Where the mean goes
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["describe", "parity"])]
+    out: Option<PathBuf>,
     /// JSON instead of text; each member's `config` describes its widths
-    #[arg(long)]
+    #[arg(long, conflicts_with = "mix")]
     json: bool,
 }
 
-/// Describes or compares.
-#[expect(clippy::print_stdout, reason = "the answer is this command's output")]
+/// Describes, mixes or compares.
 pub fn run(arguments: &Arguments) -> Outcome {
-    let Some(dir) = &arguments.parity else {
-        return describe_family(arguments.json);
-    };
+    match (&arguments.parity, arguments.mix.as_deref(), &arguments.out) {
+        (Some(dir), ..) => compare(dir, arguments.json),
+        (None, Some([one, other]), Some(out)) => mix(one, other, arguments.share, out),
+        _ => describe_family(arguments.json),
+    }
+}
+
+fn mix(one: &str, other: &str, share: f64, out: &Path) -> Outcome {
+    let mixed = weights(one)?.mixed(&weights(other)?, share);
+    mixed
+        .and_then(|mixed| mixed.write(out))
+        .map_err(|cause| Failure::Error(format!("{one} and {other}: {cause}").into()))
+}
+
+#[expect(clippy::print_stdout, reason = "the answer is this command's output")]
+fn compare(dir: &Path, json: bool) -> Outcome {
     let report = parity(dir)?;
-    if arguments.json {
+    if json {
         let rows: Vec<_> = report
             .tensors
             .iter()

@@ -29,6 +29,7 @@ mod conv_cpu;
 mod efr;
 mod grow;
 mod init;
+mod mix;
 mod network;
 mod norm;
 mod norm_cpu;

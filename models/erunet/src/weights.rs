@@ -134,6 +134,9 @@ pub enum WeightsError {
     /// The weights cannot be put into the larger network asked for.
     #[error("cannot grow {0}")]
     Growth(String),
+    /// Two networks' weights have no mean.
+    #[error("cannot mix: {0}")]
+    Mix(String),
     /// The tensors could not be placed on the device.
     #[error("tensor operation failed: {0}")]
     Tensor(#[from] candle_core::Error),

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use noctule_erunet::Form;
 use noctule_learn::{Kind, Settings, SettingsError};
 
 const GOOD: &str = r#"
@@ -48,6 +49,22 @@ fn settings_survive_their_own_text() {
     let settings = Settings::from_toml(GOOD).unwrap();
     assert_eq!(settings.stages[0].kind, Kind::Complete);
     assert_eq!(Settings::from_toml(&settings.to_toml()).unwrap(), settings);
+}
+
+/// The paper's network takes the form that `s` has and nothing else changes; the member's own form
+/// stands where none is asked for.
+#[test]
+fn the_form_may_be_another_than_the_members() {
+    let settings = |text: &str| Settings::from_toml(text).unwrap();
+    let full = GOOD.replace("\"xs\"", "\"full\"");
+    let own = settings(&full).network().unwrap();
+    assert_eq!(own.form, Form::Direct);
+    let asked = full.replace("seed = 1", "seed = 1\nform = \"choice\"");
+    let asked = settings(&asked);
+    assert_eq!(asked.network().unwrap(), own.with_form(Form::Choice));
+    assert_eq!(settings(&asked.to_toml()), asked);
+    let odd = error("seed = 1", "seed = 1\nform = \"chosen\"");
+    assert!(odd.contains("chosen") && odd.contains("choice"), "{odd}");
 }
 
 #[test]

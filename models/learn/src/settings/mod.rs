@@ -5,7 +5,7 @@ mod check;
 
 use std::path::{Path, PathBuf};
 
-use noctule_erunet::{Config, Variant};
+use noctule_erunet::{Config, Form, Variant};
 use noctule_world::{STEPS, Tier};
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +30,10 @@ pub struct Settings {
     /// Which of the paper's networks (its table 3).
     #[serde(default)]
     pub variant: Variant,
+    /// How depth enters and leaves, where it is not as the member has it: `choice` lets the paper's
+    /// `full` grow out of `s`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub form: Option<Form>,
     /// Starts the weights, the order of the examples and their augmentation.
     pub seed: u32,
     /// Processor threads of the tensor library.
@@ -332,9 +336,13 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Network`] for an unknown member.
     pub fn network(&self) -> Result<Config, SettingsError> {
-        Ok(Config::member(&self.member)?
+        let config = Config::member(&self.member)?
             .with_steps(STEPS)
-            .with_variant(self.variant))
+            .with_variant(self.variant);
+        Ok(match self.form {
+            Some(form) => config.with_form(form),
+            None => config,
+        })
     }
 
     /// Number of the GPU to train on; `None` for the processor.

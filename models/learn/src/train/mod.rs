@@ -291,6 +291,7 @@ fn first_difference(before: &Settings, now: &Settings) -> Option<String> {
     let differs = [
         ("member", before.member != now.member),
         ("variant", before.variant != now.variant),
+        ("form", before.form != now.form),
         ("seed", before.seed != now.seed),
         ("init", before.init != now.init),
         ("grow", before.grow != now.grow),
