@@ -350,6 +350,13 @@ mod tests {
         close(&high[4..], [1.5, 1.0, 0.5, 0.0]);
         close(&plane(HEIGHT, &[None, Some(ground)])[..4], [0.0; 4]);
         close(&plane(HEIGHT, &[])[4..], [0.0; 4]);
+        // A camera of 1 m: heights of it beyond either end are cut.
+        let low = Ground {
+            per_row: 1.0,
+            first: -1.0,
+            ..ground
+        };
+        close(&plane(HEIGHT, &[Some(low)])[4..], [4.0, 1.0, -1.0, -1.0]);
         let odd = [Some(ground), None, None];
         assert!(prefill(&sparse, &odd, Form::Choice, 80.0, &Device::Cpu).is_err());
     }
