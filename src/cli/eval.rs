@@ -39,8 +39,8 @@ pub struct Arguments {
     /// Draws six of the exposures: inputs, depth, truth and error of the last network
     #[arg(long, value_name = "PNG", conflicts_with = "merge")]
     pictures: Option<PathBuf>,
-    /// What networks may see: `full`, or `no-events`, `no-image`, `no-lidar`, `no-ground`
-    /// joined by `+`; one row each
+    /// What networks may see: `full`, or `no-events`, `no-image`, `no-lidar`, `no-ground`, and
+    /// `ground-off:ROWS` (told that many rows too low), joined by `+`; one row each
     #[arg(long, value_delimiter = ',', default_value = "full")]
     inputs: Vec<Withheld>,
     /// Merges tables of single images in place of evaluating

@@ -65,6 +65,15 @@ impl Ground {
         self.per_column * column + (self.per_row * row + self.first)
     }
 
+    /// As a picture would show it whose rows all lie `rows` farther down, as when the camera pitches up.
+    #[must_use]
+    pub fn lowered(&self, rows: f32) -> Self {
+        Self {
+            first: self.first - rows * self.per_row,
+            ..*self
+        }
+    }
+
     /// In the pixels of a square cut out at column `x0`, row `y0`.
     #[must_use]
     pub fn cut(&self, x0: usize, y0: usize) -> Self {

@@ -94,11 +94,7 @@ impl Vary {
     /// What the network is told of the example's ground.
     pub(super) fn ground(&self, ground: Option<&Ground>) -> Option<Ground> {
         let shift = self.horizon_shift? as f32;
-        let ground = *ground?;
-        Some(Ground {
-            first: ground.first - shift * ground.per_row,
-            ..ground
-        })
+        Some(ground?.lowered(shift))
     }
 
     /// The chance that single pixels, returns and rings draw from.

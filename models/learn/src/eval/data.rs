@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use noctule_depth::Ground;
 use noctule_world::Tier;
 
 use super::error::EvalError;
@@ -106,8 +107,8 @@ impl FromStr for Share {
     }
 }
 
-/// What a network is allowed to see.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// What a network is not allowed to see, and how wrongly it is told of the rest.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Withheld {
     /// No events: voxels of zero.
     pub events: bool,
@@ -117,28 +118,44 @@ pub struct Withheld {
     pub lidar: bool,
     /// Not told where the ground lies.
     pub ground: bool,
+    /// Told that the ground, and with it the horizon, lies this many rows farther down than it
+    /// does, as where a car pitches or a calibration is off.
+    pub ground_rows_off: f32,
 }
+
+const INPUTS_WANTED: &str = "full, or no-events, no-image, no-lidar, no-ground and ground-off:ROWS \
+    (within 100 up or down) joined by +";
+/// Most rows that the ground is told wrongly by.
+const ROWS_OFF_MAX: f32 = 100.0;
 
 impl Withheld {
     /// What a table says behind the network's name; empty for everything seen.
     pub fn label(self) -> String {
+        let off = format!("ground {:+} rows off", self.ground_rows_off);
         [
             (self.events, "no events"),
             (self.image, "no image"),
             (self.lidar, "no LiDAR"),
             (self.ground, "no ground"),
+            (self.ground_rows_off != 0.0, off.as_str()),
         ]
         .iter()
         .filter(|(is, _)| *is)
         .map(|(_, label)| format!(", {label}"))
         .collect()
     }
+
+    /// What the network is told of a ground.
+    pub(super) fn ground(self, ground: Option<&Ground>) -> Option<Ground> {
+        let told = ground.filter(|_| !self.ground)?;
+        Some(told.lowered(self.ground_rows_off))
+    }
 }
 
 impl FromStr for Withheld {
     type Err = EvalError;
 
-    /// `full`, or `no-events`, `no-image`, `no-lidar`, `no-ground` joined by `+`.
+    /// `full`, or `no-events`, `no-image`, `no-lidar`, `no-ground`, `ground-off:ROWS` joined by `+`.
     fn from_str(text: &str) -> Result<Self, EvalError> {
         let mut withheld = Self::default();
         if text == "full" {
@@ -151,10 +168,13 @@ impl FromStr for Withheld {
                 "no-lidar" => withheld.lidar = true,
                 "no-ground" => withheld.ground = true,
                 _ => {
-                    return Err(EvalError::Data {
+                    let rows = part.strip_prefix("ground-off:");
+                    let rows = rows.and_then(|rows| rows.parse::<f32>().ok());
+                    let rows = rows.filter(|rows| rows.abs() <= ROWS_OFF_MAX);
+                    withheld.ground_rows_off = rows.ok_or_else(|| EvalError::Data {
                         text: text.to_owned(),
-                        wanted: "full, or no-events, no-image, no-lidar, no-ground joined by +",
-                    });
+                        wanted: INPUTS_WANTED,
+                    })?;
                 }
             }
         }
@@ -190,6 +210,28 @@ mod tests {
         ] {
             let error = text.parse::<DataSet>().expect_err(text).to_string();
             assert!(error.contains(text), "{error}");
+        }
+    }
+
+    #[test]
+    fn inputs_are_read_and_the_ground_moves_as_told() {
+        let level = Ground::level(1.5, 200.0, 100.0).expect("a plane");
+        let inputs = "no-image+ground-off:-2.5".parse::<Withheld>();
+        let inputs = inputs.expect("right");
+        assert_eq!(inputs.label(), ", no image, ground -2.5 rows off");
+        let told = inputs.ground(Some(&level)).expect("told");
+        let wanted = Ground::level(1.5, 200.0, 97.5).expect("a plane");
+        assert!((told.inverse_depth(0.0, 97.5)).abs() < 1e-6, "{told:?}");
+        assert!((told.inverse_depth(7.0, 180.0) - wanted.inverse_depth(7.0, 180.0)).abs() < 1e-6);
+        let full = Withheld::default();
+        assert_eq!(full.ground(Some(&level)), Some(level));
+        assert_eq!("full".parse::<Withheld>().expect("right"), full);
+        assert_eq!(full.label(), "");
+        let none = "no-ground".parse::<Withheld>().expect("right");
+        assert_eq!(none.ground(Some(&level)), None);
+        for text in ["", "no", "ground-off:", "ground-off:NaN", "ground-off:200"] {
+            let error = text.parse::<Withheld>().expect_err(text).to_string();
+            assert!(error.contains("ground-off:ROWS"), "{error}");
         }
     }
 

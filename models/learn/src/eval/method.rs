@@ -220,7 +220,7 @@ pub(crate) fn complete(
         } else {
             &scene.blur
         },
-        scene.ground.as_ref().filter(|_| !withheld.ground),
+        withheld.ground(scene.ground.as_ref()).as_ref(),
     )?;
     let (mut depth, mut confidence) = (vec![0.0; STEPS * area], vec![0.0; area]);
     for (step, map) in depth.chunks_exact_mut(area).enumerate() {
