@@ -39,6 +39,13 @@ fn the_demo_goes_from_nothing_to_pictures_and_a_report() {
     let sent = report["host"]["bundles"]["sent"].as_u64().unwrap();
     assert!(sent >= 3, "{sent} bundles");
     assert!(report["infer"]["frames_sent"].as_u64().unwrap() >= 8);
+    // The night's road is level and its camera where the calibration says.
+    let seen = report["infer"]["roads_seen"].as_i64().unwrap();
+    let half_rows = report["infer"]["road_half_rows_down"].as_i64().unwrap();
+    assert!(
+        seen >= 1 && half_rows.abs() <= seen,
+        "{half_rows} in {seen}"
+    );
     assert!(report["scores"]["exposures"].as_u64().unwrap() >= 1);
     assert_eq!(report["residue"].as_u64(), Some(0));
     let stages: Vec<&str> = report["stages"]

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use iceoryx2::service::Service;
+use noctule_depth::Levelling;
 
 use super::{Choice, Engines, InferError, InferReport, Ladder, Run, Rung};
 use crate::bus::{Newest, Ports, Received, Receiver, Sender};
@@ -40,6 +41,7 @@ pub fn run<S: Service>(
         now_ns,
         sender,
         report: InferReport::default(),
+        levelling: Levelling::new(),
         frame: 0,
     };
     while !stop.load(Ordering::Relaxed) {
@@ -61,6 +63,7 @@ struct Process<'a, S: Service> {
     now_ns: &'a dyn Fn() -> u64,
     sender: Sender<S, DepthHeader>,
     report: InferReport,
+    levelling: Levelling,
     frame: u64,
 }
 
@@ -158,7 +161,21 @@ impl<S: Service> Process<'_, S> {
             begin_ns: begun_ns - sequence.started_ns,
             step_ns: slowest_ns,
         });
+        self.look_for_road(&sequence);
         Ok(())
+    }
+
+    /// Notes how far from its calibrated place the road lies, once the maps are out.
+    fn look_for_road(&mut self, sequence: &Sequence<'_>) {
+        let Sequence { header, layout, .. } = sequence;
+        let first = sequence.planes.sparse.get(..layout.height * layout.width);
+        let rows_down = header
+            .ground()
+            .zip(first)
+            .and_then(|(told, sparse)| self.levelling.rows_down(&told, sparse, layout.width));
+        if let Some(rows_down) = rows_down {
+            self.report.road(rows_down);
+        }
     }
 
     /// Whether to go on as before with `to_go` steps left.

@@ -1,5 +1,6 @@
 //! What an inference process did, handed to whoever started it.
 
+use noctule_depth::HORIZON_ROWS_STEP;
 use serde::{Deserialize, Serialize};
 
 /// How often a model ran.
@@ -32,6 +33,10 @@ pub struct InferReport {
     pub frames_sent: u64,
     /// Depth frames sent after their deadline.
     pub frames_late: u64,
+    /// Sequences in whose first map returns said where the road lies.
+    pub roads_seen: u64,
+    /// By how many half rows it lay lower than the calibration says, added up over them.
+    pub road_half_rows_down: i64,
     /// By model.
     pub models: Vec<ModelCount>,
 }
@@ -53,6 +58,25 @@ impl InferReport {
         &mut self.models[index]
     }
 
+    /// Takes note of a road that lies so many rows lower than the calibration says.
+    pub(super) fn road(&mut self, rows_down: f32) {
+        self.roads_seen += 1;
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "found to half a row, within ten"
+        )]
+        let half_rows = (rows_down / HORIZON_ROWS_STEP).round() as i64;
+        self.road_half_rows_down += half_rows;
+    }
+
+    /// By how many rows the road lay lower than the calibration says, in the mean; `None` where it was
+    /// never seen. Far from 0 over a drive, the camera's pitch is not what the calibration says.
+    #[expect(clippy::cast_precision_loss, reason = "shown with one decimal")]
+    pub fn road_rows_down(&self) -> Option<f64> {
+        let rows = self.road_half_rows_down as f64 * f64::from(HORIZON_ROWS_STEP);
+        (self.roads_seen > 0).then(|| rows / self.roads_seen as f64)
+    }
+
     /// Adds what a process started in another's place did.
     pub fn add(&mut self, other: &Self) {
         self.bundles_received += other.bundles_received;
@@ -63,10 +87,31 @@ impl InferReport {
         self.sequences_ended_early += other.sequences_ended_early;
         self.frames_sent += other.frames_sent;
         self.frames_late += other.frames_late;
+        self.roads_seen += other.roads_seen;
+        self.road_half_rows_down += other.road_half_rows_down;
         for theirs in &other.models {
             let ours = self.model(&theirs.model);
             ours.sequences += theirs.sequences;
             ours.frames += theirs.frames;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn roads_are_averaged_over_all_lives_of_the_process() {
+        let mut report = InferReport::default();
+        assert_eq!(report.road_rows_down(), None);
+        for rows in [2.5, -0.5, 1.0] {
+            report.road(rows);
+        }
+        assert_eq!(report.road_rows_down(), Some(1.0));
+        let mut next = InferReport::default();
+        next.road(-3.0);
+        report.add(&next);
+        assert_eq!((report.roads_seen, report.road_rows_down()), (4, Some(0.0)));
     }
 }

@@ -172,6 +172,15 @@ impl RunReport {
             i.sequences_ended_early,
             self.infer_restarts,
         );
+        if let Some(rows_down) = i.road_rows_down() {
+            let _ = writeln!(
+                text,
+                "road: seen in {} sequences, {:.1} rows {} than calibrated in the mean",
+                i.roads_seen,
+                rows_down.abs(),
+                if rows_down < 0.0 { "higher" } else { "lower" },
+            );
+        }
         let bound = |ns: Option<u64>| {
             #[expect(clippy::cast_precision_loss, reason = "shown with one decimal")]
             ns.map_or_else(

@@ -4,7 +4,8 @@
 //!   planes in inverse depth fitted to the returns of touching nearest-return cells, with an
 //!   edge-keeping blur over their seams. It allocates once, when it is made.
 //! - [`Surround`] finds the least and the largest value around every pixel.
-//! - [`Ground`] says where level ground lies behind every pixel.
+//! - [`Ground`] says where level ground lies behind every pixel, [`Levelling`] by how much the returns on
+//!   the road contradict it.
 //! - [`metrics()`], [`edge_band`], [`masked_mae`] and [`temporal_change`] say how far a map is from
 //!   the truth; [`ScoreTable`] averages over images, the same however the images were shared out.
 //! - [`ContactSheet`] and its neighbours draw; [`read_depth_png16`] and [`write_depth_png16`] keep
@@ -23,6 +24,7 @@ mod band;
 mod completer;
 mod fill;
 mod ground;
+mod levelling;
 mod metrics;
 mod nearest;
 mod picture;
@@ -34,6 +36,7 @@ mod temporal;
 pub use band::{EDGE_BAND_PX, EDGE_RATIO, EDGE_STEP_M, MaskedMae, edge_band, masked_mae};
 pub use completer::{CONFIDENCE_RANGE_PX, Completer, confidence};
 pub use ground::Ground;
+pub use levelling::{HORIZON_ROWS_MAX, HORIZON_ROWS_STEP, Levelling};
 pub use metrics::{Metrics, MetricsError, metrics};
 pub use picture::{
     CANVAS_SIDE_MAX, Canvas, ContactSheet, DepthImage, DepthPngError, INVALID_RGB, LINE_HEIGHT,

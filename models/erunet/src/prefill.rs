@@ -5,7 +5,7 @@
 //! learned it equals nearest-neighbour completion.
 
 use candle_core::{Device, Result, Tensor};
-use noctule_depth::{Completer, Ground, SizeError, Surround};
+use noctule_depth::{Completer, Ground, Levelling, SizeError, Surround};
 use rayon::prelude::*;
 
 use crate::config::Form;
@@ -51,6 +51,9 @@ struct Around {
     logarithm: Vec<f32>,
     width: usize,
     told: Option<Ground>,
+    levelling: Levelling,
+    /// Rows by which the road lies lower than told; 0 until returns say otherwise.
+    rows_down: f32,
     /// Logarithm of the ground's depth; empty where the ground is unknown.
     ground: Vec<f32>,
     /// The ground's inverse depth, 1/m; empty where the ground is unknown.
@@ -67,6 +70,8 @@ impl Prefill {
                     logarithm: vec![0.0; height * width],
                     width,
                     told: None,
+                    levelling: Levelling::new(),
+                    rows_down: 0.0,
                     ground: Vec::with_capacity(height * width),
                     inverse: Vec::with_capacity(height * width),
                 })
@@ -81,13 +86,14 @@ impl Prefill {
         })
     }
 
-    /// From now on the ground lies there; `None` where nobody knows. Costs nothing while it stays
-    /// where it was.
+    /// From now on the ground lies there, or as many rows above or below as a map's returns on the road
+    /// say ([`Levelling`]); `None` where nobody knows. Costs nothing while it stays where it was.
     pub(crate) fn stand_on(&mut self, ground: Option<&Ground>) {
         if let Some(around) = &mut self.around
             && around.told.as_ref() != ground
         {
-            around.stand_on(ground);
+            around.told = ground.copied();
+            around.lay(0.0);
         }
     }
 
@@ -128,6 +134,7 @@ impl Prefill {
                 limits.fill(0.0);
                 share.fill((self.range_m * FALLBACK_SHARE).ln());
             }
+            around.level(sparse);
             around.stand(share, nearest, ground);
         }
         for (share, nearest) in share.iter_mut().zip(&*nearest) {
@@ -138,11 +145,26 @@ impl Prefill {
 }
 
 impl Around {
-    fn stand_on(&mut self, ground: Option<&Ground>) {
-        self.told = ground.copied();
+    /// Lays the ground where the returns of a map see the road: a car pitches, by half a degree when it
+    /// brakes, and its calibration says nothing of that. Each map speaks for itself alone, so that a
+    /// sequence does not depend on the one before it.
+    fn level(&mut self, sparse: &[f32]) {
+        let Some(told) = &self.told else {
+            return;
+        };
+        let rows_down = self.levelling.rows_down(told, sparse, self.width);
+        let rows_down = rows_down.unwrap_or(0.0);
+        if rows_down != self.rows_down {
+            self.lay(rows_down);
+        }
+    }
+
+    /// Lays the ground so many rows lower than told.
+    fn lay(&mut self, rows_down: f32) {
+        self.rows_down = rows_down;
         self.ground.clear();
         self.inverse.clear();
-        let Some(ground) = ground else {
+        let Some(ground) = self.told.map(|told| told.lowered(rows_down)) else {
             return;
         };
         for cell in 0..self.logarithm.len() {
