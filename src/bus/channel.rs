@@ -13,7 +13,7 @@ use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::Service;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 
-use super::{BusError, owner::ChannelLimits};
+use super::{BusError, ChannelLimits};
 use crate::frame::{Block, BundleHeader, DepthHeader};
 
 /// A header that travels beside a payload and counts the frames of its channel.

@@ -8,11 +8,13 @@
 
 mod channel;
 mod instance;
+mod limits;
 mod owner;
 
 pub use channel::{Header, Loan, Newest, Received, Receiver, Sender};
 pub use instance::{Instance, InstanceName};
-pub use owner::{ChannelLimits, Limits, Owner, Ports};
+pub use limits::{ChannelLimits, Limits};
+pub use owner::{Owner, Ports};
 
 /// The transport between processes.
 pub type Ipc = iceoryx2::prelude::ipc::Service;

@@ -272,8 +272,8 @@ fn decoder(config: &Config, grid: Grid, level: usize) -> Cost {
 mod tests {
     use super::*;
     use crate::config::Variant;
-    use crate::network::slots;
     use crate::params::Role;
+    use crate::parts::slots;
 
     fn round(value: f64, digits: i32) -> f64 {
         let unit = 10f64.powi(digits);

@@ -3,7 +3,7 @@
 use candle_core::{DType, Result, Tensor};
 use noctule_kernels::Activation;
 
-use crate::blocks::activate;
+use crate::activate::activate;
 use crate::conv_cpu::{Window, conv2d};
 use crate::params::{Init, Params, Role};
 

@@ -21,6 +21,7 @@
 #![forbid(unsafe_code)]
 
 mod accounting;
+mod activate;
 mod adam;
 mod blocks;
 mod config;
@@ -35,6 +36,7 @@ mod norm;
 mod norm_cpu;
 mod params;
 mod parity;
+mod parts;
 mod pass;
 mod plan;
 mod planes;
@@ -50,13 +52,14 @@ pub use adam::{Adam, AdamError, AdamOptions, AdamState};
 pub use config::{
     COUNT_MAX, Config, ConfigError, DEPTH_MAX_M, Form, SIDE_MULTIPLE, Variant, WIDTH_MAX,
 };
-pub use network::{Network, NetworkError, Outputs, slots};
+pub use network::{Network, NetworkError, Outputs};
 pub use noctule_depth::Ground;
 pub use params::{Init, Norms, Role, Slot};
 pub use parity::{
     DEPTH_GATE_M, FEATURE_GATE, ParityError, ParityReport, TensorParity, fixture_config, parity,
     parity_on,
 };
+pub use parts::slots;
 pub use pass::{Moments, Pass};
 pub use plan::{LayerProfile, Plan, PlanError, PlanOptions};
 pub use prefill::{FALLBACK_SHARE, LOG_SPAN};

@@ -7,8 +7,8 @@
 use candle_core::Tensor;
 
 use crate::config::Config;
-use crate::network::slots;
 use crate::params::Role;
+use crate::parts::slots;
 use crate::weights::{Weights, WeightsError};
 
 impl Weights {

@@ -3,15 +3,14 @@
 //! For results as they become ready, step by step, see [`crate::Sequence`].
 
 use candle_core::{Device, Tensor};
-use noctule_depth::Ground;
 use thiserror::Error;
 
 use crate::config::{Config, ConfigError, SIDE_MULTIPLE};
 use crate::efr::Efr;
-use crate::params::{Norms, Params, Slot, Source};
+use crate::params::{Norms, Params, Source};
+use crate::parts::build;
 use crate::pass::Pass;
 use crate::rdu::Rdu;
-use crate::sequence::Sequence;
 use crate::weights::{Weights, WeightsError};
 
 /// Why a network could not be built or run.
@@ -61,26 +60,6 @@ pub struct Outputs {
     pub confidence: Tensor,
 }
 
-/// Every tensor a network of this configuration wants in its weights file, in building order.
-pub fn slots(config: &Config) -> Result<Vec<Slot>, ConfigError> {
-    config.validate()?;
-    let source = Source::Recording(Vec::new().into());
-    let root = Params::root(&source, Norms::Keep);
-    build(config, &root).expect("recording needs one value per tensor and no input");
-    let Source::Recording(slots) = source else {
-        unreachable!("the source is made above")
-    };
-    Ok(slots.into_inner())
-}
-
-fn build(config: &Config, root: &Params<'_>) -> candle_core::Result<(Option<Efr>, Rdu)> {
-    let efr = config
-        .has_efr()
-        .then(|| Efr::new(&root.at("efr"), config))
-        .transpose()?;
-    Ok((efr, Rdu::new(&root.at("rdu"), config)?))
-}
-
 impl Network {
     /// Builds the network over `weights`, on the device they lie on.
     ///
@@ -108,17 +87,6 @@ impl Network {
     /// The device inputs must lie on.
     pub fn device(&self) -> &Device {
         &self.device
-    }
-
-    /// Starts one exposure (or a batch of them): `blur` `[B, 3, H, W]`, encoded values over 255;
-    /// for a network without restoration, the deblurred picture. All exposures of a batch lie over
-    /// one ground; `None` where it is not known.
-    pub fn begin(
-        &self,
-        blur: &Tensor,
-        ground: Option<&Ground>,
-    ) -> Result<Sequence<'_>, NetworkError> {
-        Sequence::new(self, blur, ground)
     }
 
     /// Runs whole exposures with running statistics: `blur` `[B, 3, H, W]`, `voxel`

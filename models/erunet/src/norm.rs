@@ -3,7 +3,7 @@
 use candle_core::{D, Result, Tensor, bail};
 use noctule_kernels::Activation;
 
-use crate::blocks::activate;
+use crate::activate::activate;
 use crate::conv::{Conv, ConvShape, is_plain};
 use crate::norm_cpu::{NormCpu, Statistics, statistics};
 use crate::params::{Init, Norms, Params, Role};

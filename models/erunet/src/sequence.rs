@@ -27,6 +27,19 @@ pub struct Sequence<'a> {
     ground: Option<Ground>,
 }
 
+impl Network {
+    /// Starts one exposure (or a batch of them): `blur` `[B, 3, H, W]`, encoded values over 255;
+    /// for a network without restoration, the deblurred picture. All exposures of a batch lie over
+    /// one ground; `None` where it is not known.
+    pub fn begin(
+        &self,
+        blur: &Tensor,
+        ground: Option<&Ground>,
+    ) -> Result<Sequence<'_>, NetworkError> {
+        Sequence::new(self, blur, ground)
+    }
+}
+
 impl<'a> Sequence<'a> {
     pub(crate) fn new(
         network: &'a Network,

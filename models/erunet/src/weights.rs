@@ -15,8 +15,8 @@ use thiserror::Error;
 
 use crate::config::{Config, ConfigError};
 use crate::init::initial_values;
-use crate::network::slots;
 use crate::params::{Role, Slot};
+use crate::parts::slots;
 
 /// Largest weights file that is read, in bytes; the full network needs 119 MB.
 pub const FILE_BYTES_MAX: u64 = 2 << 30;

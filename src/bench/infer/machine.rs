@@ -38,11 +38,19 @@ impl Machine {
     }
 
     pub fn flops(&self, precision: &str) -> f64 {
-        if precision == super::report::precision_name(Precision::Brain) {
+        if precision == precision_name(Precision::Brain) {
             self.flops_bf16
         } else {
             self.flops_f32
         }
+    }
+}
+
+/// The name used in rows and on the command line.
+pub(super) fn precision_name(precision: Precision) -> &'static str {
+    match precision {
+        Precision::Single => "f32",
+        Precision::Brain => "bf16",
     }
 }
 

@@ -153,7 +153,7 @@ impl Work<'_> {
         let (arena_bytes, weight_bytes) = plan.memory_bytes();
         Ok(InferRow {
             config: self.config.name.clone(),
-            precision: report::precision_name(options.precision).into(),
+            precision: machine::precision_name(options.precision).into(),
             threads: options.threads,
             size,
             steps: self.config.steps,

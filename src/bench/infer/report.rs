@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use noctule_erunet::LayerProfile;
-use noctule_kernels::{Isa, Precision};
+use noctule_kernels::Isa;
 use serde::Serialize;
 
 use super::machine::Machine;
@@ -104,14 +104,6 @@ pub struct InferBench {
     pub bandwidth_gb_s: f64,
     /// One row per combination.
     pub rows: Vec<InferRow>,
-}
-
-/// The name used in rows and on the command line.
-pub(super) fn precision_name(precision: Precision) -> &'static str {
-    match precision {
-        Precision::Single => "f32",
-        Precision::Brain => "bf16",
-    }
 }
 
 impl InferBench {

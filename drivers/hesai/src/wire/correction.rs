@@ -55,13 +55,13 @@ impl Correction {
     #[must_use]
     pub fn nominal(model: Model) -> Self {
         let lasers = match model {
-            Model::Qt64 => nominal::degrees(&nominal::QT64),
-            Model::Qt128 => nominal::degrees(&nominal::QT128),
-            Model::Xt32 => nominal::degrees(&nominal::XT32),
-            Model::Xt16 => nominal::even(16, 15.0, -2.0),
-            Model::Xt32m => nominal::even(32, 19.5, -1.3),
-            Model::Pandar64 => nominal::degrees(&nominal::PANDAR64),
-            Model::Pandar40p => nominal::degrees(&nominal::PANDAR40P),
+            Model::Qt64 => degrees(&nominal::QT64),
+            Model::Qt128 => degrees(&nominal::QT128),
+            Model::Xt32 => degrees(&nominal::XT32),
+            Model::Xt16 => even(16, 15.0, -2.0),
+            Model::Xt32m => even(32, 19.5, -1.3),
+            Model::Pandar64 => degrees(&nominal::PANDAR64),
+            Model::Pandar40p => degrees(&nominal::PANDAR40P),
         };
         Self { model, lasers }
     }
@@ -77,6 +77,24 @@ impl Correction {
     pub fn lasers(&self) -> &[LaserAngles] {
         &self.lasers
     }
+}
+
+/// The table as laser angles.
+fn degrees(table: &[(f64, f64)]) -> Vec<LaserAngles> {
+    let angles = |&(elevation_deg, azimuth_deg)| LaserAngles {
+        elevation_deg,
+        azimuth_deg,
+    };
+    table.iter().map(angles).collect()
+}
+
+/// `channels` beams `step` degrees apart, straight ahead of their block.
+fn even(channels: u8, first: f64, step: f64) -> Vec<LaserAngles> {
+    let angles = |channel: u8| LaserAngles {
+        elevation_deg: first + step * f64::from(channel),
+        azimuth_deg: 0.0,
+    };
+    (0..channels).map(angles).collect()
 }
 
 #[cfg(test)]

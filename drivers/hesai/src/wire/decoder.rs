@@ -1,119 +1,13 @@
 //! From packets to returns: order, clock and sweeps first, then the arithmetic.
 
-use noctule_sensor::{Lidar, Return, Stamp};
+use noctule_sensor::{Lidar, Stamp};
 use pulp::Arch;
-use thiserror::Error;
 
-use super::firing::{Block, Job, Scratch};
+use super::firing::{Job, Scratch};
 use super::geometry::{Circle, Geometry};
 use super::stream::{Arrival, Observed, Stream};
 use super::sweep::Sweeps;
-use super::{Correction, Counts, FireTimes, Model, Packet, PacketError, ReturnMode};
-
-/// Takes returns as they are decoded.
-pub trait ReturnSink {
-    /// Takes one return of sweep number `sweep`.
-    ///
-    /// Sweeps are numbered by turns of the head from 0 on, whether or not all of a turn was
-    /// received. Near a seam two numbers alternate: channels cross the cut one by one.
-    fn on_return(&mut self, r: Return, sweep: u32);
-
-    /// Takes one firing whole: its `R` blocks, one per echo.
-    ///
-    /// A sink that works on vectors takes [`Block`]s apart by itself; `#[inline(always)]` then has
-    /// its loops compiled for the vectors of the machine it runs on. Left alone, every return
-    /// goes to [`on_return`](Self::on_return), channel by channel.
-    #[inline]
-    fn on_firing<const R: usize>(&mut self, blocks: &[Block<'_>; R]) {
-        for (c, channel) in (0..blocks[0].echo.len()).zip(0u8..) {
-            for block in blocks {
-                if let Some(r) = block.get(channel) {
-                    self.on_return(r, block.sweep_of(c));
-                }
-            }
-        }
-    }
-}
-
-impl<F: FnMut(Return, u32)> ReturnSink for F {
-    #[inline]
-    fn on_return(&mut self, r: Return, sweep: u32) {
-        self(r, sweep);
-    }
-}
-
-/// Which of a firing's echoes are handed out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Returns {
-    /// Every non-zero return.
-    All,
-    /// Equal returns (distance and intensity) of one firing once: the last block's.
-    Unique,
-}
-
-/// Settings of a decoder.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// The sensor.
-    pub model: Model,
-    /// Directions of its lasers.
-    pub correction: Correction,
-    /// Times of its lasers.
-    pub fire_times: FireTimes,
-    /// Which echoes to hand out.
-    pub returns: Returns,
-    /// Corrected azimuth at which a channel's sweep begins, hundredths of a degree, below 36,000.
-    pub cut_azimuth_cdeg: u16,
-    /// Turns each laser on by what the head moves between the block's time and its own, at the
-    /// packet's speed. The vendor does so when a fire-time file is loaded.
-    pub turn_while_firing: bool,
-    /// Where the beams start, in metres from the frame's origin; distances are measured from the
-    /// origin. The vendor's default is not to correct for it. See [`Options::QT64_CENTRE_M`].
-    pub optical_centre_m: Option<[f32; 3]>,
-}
-
-impl Options {
-    /// The PandarQT64's optical centre, metres.
-    pub const QT64_CENTRE_M: [f32; 3] = [-0.0072, 0.0298, 0.0];
-
-    /// The model's nominal tables, unique returns, sweeps from azimuth 0, no refinements.
-    #[must_use]
-    pub fn new(model: Model) -> Self {
-        Self {
-            model,
-            correction: Correction::nominal(model),
-            fire_times: FireTimes::nominal(model),
-            returns: Returns::Unique,
-            cut_azimuth_cdeg: 0,
-            turn_while_firing: false,
-            optical_centre_m: None,
-        }
-    }
-}
-
-/// Settings that contradict one another.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-pub enum OptionsError {
-    /// The correction table is another model's.
-    #[error("correction table is for {}, decoder for {}", table.name(), model.name())]
-    Correction {
-        /// Whose it is.
-        table: Model,
-        /// The decoder's.
-        model: Model,
-    },
-    /// The fire-time table is another model's.
-    #[error("fire-time table is for {}, decoder for {}", table.name(), model.name())]
-    FireTimes {
-        /// Whose it is.
-        table: Model,
-        /// The decoder's.
-        model: Model,
-    },
-    /// The cut is not on the circle.
-    #[error("cut azimuth is {0}, needs less than 36000 hundredths of a degree")]
-    Cut(u16),
-}
+use super::{Counts, Options, OptionsError, Packet, PacketError, ReturnMode, ReturnSink};
 
 /// What a valid packet said about itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,12 +1,11 @@
 //! The arithmetic of one firing: all channels, all echoes, in lanes the compiler vectorises.
 
-use noctule_sensor::{Lidar, Return, Stamp};
+use noctule_sensor::Stamp;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::decoder::{Options, ReturnSink, Returns};
 use super::geometry::{Circle, Geometry, MAX_CHANNELS};
 use super::sweep::{Sweeps, TURN};
-use super::{Model, Packet};
+use super::{Block, Model, Options, Packet, ReturnSink, Returns};
 
 /// One firing of all lasers, in a packet that has been checked.
 #[derive(Clone, Copy)]
@@ -65,84 +64,6 @@ impl Scratch {
 /// Distance and intensity of one channel as on the wire: 16 and 8 bits; distance 0 is no return.
 const DISTANCE: u32 = 0xffff;
 const ECHO: u32 = 0xff_ffff;
-
-/// All channels of one block, as arrays of equal length: what a sink takes that works on whole
-/// vectors. See [`ReturnSink::on_firing`].
-#[derive(Debug, Clone, Copy)]
-pub struct Block<'a> {
-    /// Metres; 0 where there is no return.
-    pub x_m: &'a [f32],
-    /// Metres; 0 where there is no return.
-    pub y_m: &'a [f32],
-    /// Metres; 0 where there is no return.
-    pub z_m: &'a [f32],
-    /// Distance in the packet's units (16 bits) and, above it, intensity (8 bits), as on the wire;
-    /// 0 where there is no return.
-    pub echo: &'a [u32],
-    /// Firing time after `t`, nanoseconds.
-    pub fire_ns: &'a [i32],
-    /// When the block began to fire.
-    pub t: Stamp<Lidar>,
-    /// Azimuth of the block, hundredths of a degree.
-    pub azimuth_cdeg: u16,
-    /// Index of the block in its packet.
-    pub block: u8,
-    /// Block azimuth at which a channel's own is zero, `0..36_000`.
-    zero: &'a [u16],
-    /// Block angle at which a channel crosses the cut.
-    cut: &'a [i32],
-    /// The least sweep, and the block's angle past that sweep's start.
-    sweep: (u32, i32),
-    /// Whether channels of two sweeps are here.
-    seam: bool,
-}
-
-impl Block<'_> {
-    /// The sweep all channels belong to; `None` while the block crosses the cut.
-    #[inline]
-    #[must_use]
-    pub fn sweep(&self) -> Option<u32> {
-        (!self.seam).then_some(self.sweep.0)
-    }
-
-    /// The sweep `channel` belongs to.
-    ///
-    /// # Panics
-    /// When there is no such channel.
-    #[inline]
-    #[must_use]
-    pub fn sweep_of(&self, channel: usize) -> u32 {
-        if !self.seam {
-            return self.sweep.0;
-        }
-        let (number, angle) = self.sweep;
-        number + u32::from(angle - self.cut[channel] >= 36_000)
-    }
-
-    /// The return of `channel`, if it has one.
-    ///
-    /// # Panics
-    /// When there is no such channel.
-    #[inline]
-    #[must_use]
-    pub fn get(&self, channel: u8) -> Option<Return> {
-        let c = usize::from(channel);
-        let [low, high, intensity, _] = self.echo[c].to_le_bytes();
-        if low == 0 && high == 0 {
-            return None;
-        }
-        Some(Return {
-            t: self.t.offset_nanos(i64::from(self.fire_ns[c])),
-            x_m: self.x_m[c],
-            y_m: self.y_m[c],
-            z_m: self.z_m[c],
-            azimuth_cdeg: behind(self.azimuth_cdeg, self.zero[c]),
-            channel,
-            intensity,
-            block: self.block,
-        })
-    }
-}
 
 impl Job<'_, '_> {
     /// Hands the firing to `sink`; gives the number of its returns, and that of unique ones.
@@ -365,16 +286,6 @@ fn drop_repeated<const C: usize, const R: usize>(echoes: &mut [&mut [u32; C]; R]
     }
 }
 
-/// `azimuth` seen from `zero`, both in `0..36_000`.
-#[inline]
-fn behind(azimuth: u16, zero: u16) -> u16 {
-    if azimuth >= zero {
-        azimuth - zero
-    } else {
-        azimuth + (36_000 - zero)
-    }
-}
-
 /// Moves points onto beams that start at `centre`, keeping their distance from the origin.
 ///
 /// With u the direction and d the distance: p = s u + o, |p| = d, so that
@@ -408,14 +319,6 @@ mod tests {
         drop_repeated(&mut echoes.each_mut());
         assert_eq!(echoes, [[0, 0, 0, 0], [0, 9, 0, 0], [5, 6, 0, 7]]);
         assert_eq!(repeated(&[&mut [5, 0x01_0005]]), 0);
-    }
-
-    #[test]
-    fn azimuths_wrap_both_ways() {
-        assert_eq!(behind(10, 35_127), 883);
-        assert_eq!(behind(10, 790), 35_220);
-        assert_eq!(behind(35_999, 0), 35_999);
-        assert_eq!(behind(790, 790), 0);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! One small table per model: where its packets keep what, and when its lasers fire.
 
-use super::packet::PacketError;
+use super::packet_error::PacketError;
 
 /// The sensors this driver reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

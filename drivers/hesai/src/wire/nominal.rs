@@ -2,8 +2,6 @@
 //!
 //! From the angle files and fire-time files the vendor publishes with its drivers.
 
-use super::correction::LaserAngles;
-
 /// PandarQT64: elevation and azimuth offset, degrees.
 #[rustfmt::skip]
 pub(super) static QT64: [(f64, f64); 64] = [
@@ -136,24 +134,6 @@ pub(super) static PANDAR40P_FIRE_NS: [i32; 40] = [
     -18_650, -25_190, -48_760, -6_230, -12_770, -35_010, -21_920, -9_500,
     -43_520, -29_770, -17_350, -4_920, -42_220, -28_470, -16_040, -3_620,
 ];
-
-/// The table as laser angles.
-pub(super) fn degrees(table: &[(f64, f64)]) -> Vec<LaserAngles> {
-    let angles = |&(elevation_deg, azimuth_deg)| LaserAngles {
-        elevation_deg,
-        azimuth_deg,
-    };
-    table.iter().map(angles).collect()
-}
-
-/// `channels` beams `step` degrees apart, straight ahead of their block.
-pub(super) fn even(channels: u8, first: f64, step: f64) -> Vec<LaserAngles> {
-    let angles = |channel: u8| LaserAngles {
-        elevation_deg: first + step * f64::from(channel),
-        azimuth_deg: 0.0,
-    };
-    (0..channels).map(angles).collect()
-}
 
 /// `first + step * (channel modulo group)`, nanoseconds.
 pub(super) fn even_times(channels: u8, first: i32, step: i32, group: u8) -> Vec<i32> {

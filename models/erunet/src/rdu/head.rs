@@ -2,7 +2,7 @@
 
 use candle_core::{Result, Tensor};
 
-use crate::blocks::{relu, sigmoid};
+use crate::activate::{relu, sigmoid};
 use crate::config::Config;
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;

@@ -16,7 +16,8 @@ use noctule_depth::Ground;
 
 pub(crate) use atoms::{bank, bank_size};
 
-use crate::blocks::{ConvBn, ResDs, leaky_relu};
+use crate::activate::leaky_relu;
+use crate::blocks::{ConvBn, ResDs};
 use crate::config::{Config, Form};
 use crate::conv::{Conv, ConvShape};
 use crate::params::Params;

@@ -11,6 +11,7 @@ use super::InBetween;
 use super::error::SynthError;
 use super::motion::{Arrivals, Gap};
 use super::plane::Plane;
+use super::view::{Light, View};
 
 /// Longest side of a frame: event coordinates are 11 bits.
 const SIDE_MAX: usize = 2048;
@@ -33,29 +34,6 @@ struct Whole {
     greys: Vec<Plane>,
     /// One fewer than frames; found when they are first wanted.
     gaps: OnceLock<Vec<Gap>>,
-}
-
-/// Linear light, three planes `[3, H, W]`.
-pub(super) type Light = Vec<f32>;
-
-/// The part of the frames that is looked at.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct View {
-    pub x: usize,
-    pub y: usize,
-    pub size: Size,
-    width: usize,
-}
-
-impl View {
-    /// Row by row, the index in the frames of each pixel of the view.
-    pub(super) fn cells(&self) -> impl Iterator<Item = usize> + '_ {
-        let rows = self.y..self.y + self.size.height();
-        rows.flat_map(move |y| {
-            let start = y * self.width + self.x;
-            start..start + self.size.width()
-        })
-    }
 }
 
 /// What looking at footage works in; one may serve any.

@@ -13,6 +13,7 @@ mod flow;
 mod footage;
 mod motion;
 mod plane;
+mod view;
 
 use noctule_raster::{EXPOSURE_US_MAX, PackedEvent};
 use noctule_world::{EventSimulator, LUMA, PixelModel, STEPS};

@@ -6,8 +6,8 @@
 //! arrives the frames are blended.
 
 use super::flow::OpticalFlow;
-use super::footage::{Light, View};
 use super::plane::{Corners, Plane};
+use super::view::{Light, View};
 
 /// How much a displacement seen by one frame alone weighs against one that both agree on: what is
 /// in both frames lies in front of what is not.

@@ -16,8 +16,10 @@ mod history;
 mod raster;
 mod retime;
 mod sums;
+mod tally;
 mod timing;
 
 pub use history::{EventHistory, PackedEvent};
-pub use raster::{FinishReport, Retimed, Tally, VoxelRaster, VoxelShape};
+pub use raster::{FinishReport, Retimed, VoxelRaster, VoxelShape};
+pub use tally::Tally;
 pub use timing::{BINS, EXPOSURE_US_MAX, Exposure, STEPS_MAX};

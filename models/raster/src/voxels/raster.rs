@@ -3,6 +3,7 @@
 use super::history::{EventHistory, PackedEvent};
 use super::retime::{Changes, EventList};
 use super::sums::Sums;
+use super::tally::Tally;
 use super::timing::{BINS, EXPOSURE_US_MAX, Exposure, STEPS_MAX, Timing, WHOLE};
 use crate::error::check_len;
 use crate::geometry::PixelMap;
@@ -37,25 +38,6 @@ impl VoxelShape {
     #[expect(clippy::len_without_is_empty, reason = "a grid always has cells")]
     pub const fn len(self) -> usize {
         self.steps * self.step_len()
-    }
-}
-
-/// What became of events: every one examined is in exactly one of the three counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Tally {
-    /// Inside the exposure and the grid.
-    pub rastered: u64,
-    /// Inside the exposure, outside the grid.
-    pub outside_grid: u64,
-    /// Before the exposure opened, or after it closed.
-    pub outside_exposure: u64,
-}
-
-impl Tally {
-    /// Events examined.
-    #[must_use]
-    pub const fn examined(&self) -> u64 {
-        self.rastered + self.outside_grid + self.outside_exposure
     }
 }
 
@@ -305,14 +287,6 @@ impl VoxelRaster {
         sums.finish();
         check_steps(&timing, self.shape.steps, tally.rastered, [events, &[]])?;
         Ok(tally)
-    }
-}
-
-impl Tally {
-    fn add(&mut self, other: Self) {
-        self.rastered += other.rastered;
-        self.outside_grid += other.outside_grid;
-        self.outside_exposure += other.outside_exposure;
     }
 }
 

@@ -1,7 +1,7 @@
 //! Integer sums kept in the output's own memory, plane by plane.
 
 use super::history::PackedEvent;
-use super::raster::Tally;
+use super::tally::Tally;
 use super::timing::{Place, Timing, WHOLE};
 use crate::geometry::{Lookup, PixelMap, axes_cell, table_cell};
 
