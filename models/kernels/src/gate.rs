@@ -10,8 +10,8 @@ use crate::conv::{InBlock, LINE, TILE_SUMS, consecutive, in_blocks};
 use crate::element::Element;
 use crate::layout::{Frame, Place};
 use crate::memory::Memory;
-use crate::program::Emit;
 use crate::simd::{Kernel, LANES, Simd};
+use crate::spec::Emit;
 
 /// Pixels summed at once: as many as there are lanes for their results.
 const STRIP: usize = LANES;

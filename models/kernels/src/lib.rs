@@ -56,6 +56,7 @@ mod planar;
 mod program;
 pub mod reference;
 mod simd;
+mod spec;
 
 pub use activation::Activation;
 pub use conv::Store;
@@ -64,7 +65,8 @@ pub use isa::Isa;
 pub use layout::Size;
 pub use peak::{spin, stream};
 pub use planar::Intake;
-pub use program::{
-    Between, BuildError, Builder, Conv, Emit, Feature, Garf, Gate, Input, OpProfile, Options,
-    Output, Passes, Plane, Precision, Program, RunError, THREADS_MAX,
+pub use program::{Builder, OpProfile, Program, RunError};
+pub use spec::{
+    Between, BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
+    Precision, THREADS_MAX,
 };

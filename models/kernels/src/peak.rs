@@ -4,10 +4,10 @@
 use std::hint::black_box;
 
 use crate::isa::Isa;
-use crate::program::Precision;
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512};
 use crate::simd::{Kernel, LANES, Portable, Simd};
+use crate::spec::Precision;
 
 /// Independent sums that hide the latency of a multiply-add and fit the registers of `S`.
 const fn sum_count<S: Simd>() -> usize {

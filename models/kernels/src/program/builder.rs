@@ -1,13 +1,12 @@
 //! Collects the operations of a program and checks that each fits what it works on.
 
-use super::spec::{
-    Buffer, BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
-    Spec, THREADS_MAX,
-};
-use super::{Needs, Program, lower};
 use crate::conv::Store;
 use crate::layout::{SLOTS, Size};
 use crate::planar::Intake;
+use crate::spec::{
+    Buffer, BuildError, Conv, Emit, Feature, Garf, Gate, Input, Options, Output, Passes, Plane,
+    Spec, THREADS_MAX,
+};
 
 /// Largest side and number of channels: products of all of them fit a machine word.
 const EXTENT_MAX: usize = 1 << 14;
@@ -41,6 +40,13 @@ pub struct Builder {
     passes: Passes,
     label: String,
     fault: Option<BuildError>,
+}
+
+/// The caller's slices one pass touches: place in the list and length.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Needs {
+    pub(super) inputs: Vec<(usize, usize)>,
+    pub(super) outputs: Vec<(usize, usize)>,
 }
 
 impl Default for Builder {
@@ -260,8 +266,8 @@ impl Builder {
         });
     }
 
-    /// Places everything, packs the weights and starts the threads.
-    pub fn finish(mut self, options: Options) -> Result<Program, BuildError> {
+    /// The description, where it describes a program that this machine can run.
+    pub(super) fn checked(mut self, options: Options) -> Result<Self, BuildError> {
         self.require_range("threads", options.threads, 1, THREADS_MAX, "1 to 64");
         self.check_order();
         if let Some(fault) = self.fault.take() {
@@ -270,7 +276,7 @@ impl Builder {
         if !options.isa.is_available() {
             return Err(BuildError::Instructions(options.isa));
         }
-        lower::program(&self, options)
+        Ok(self)
     }
 
     /// The slices each pass touches.

@@ -2,12 +2,13 @@
 
 use std::ops::Range;
 
-use super::Program;
 use super::arena::{Demand, place};
 use super::builder::{Builder, Described};
+use super::costs::costs;
 use super::crew::{Barrier, Claims, Crew};
-use super::profile::{self, Watch};
-use super::spec::{Buffer, BuildError, Feature, Options, Precision, Spec};
+use super::executable::Executable;
+use super::profile::Watch;
+use super::run::Program;
 use crate::activation::Activation;
 use crate::conv::{ConvOp, Dense, Finish, Gain, Store};
 use crate::element::{Brain, Element, Single};
@@ -20,34 +21,7 @@ use crate::planar::{GiveOp, TakeOp};
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512};
 use crate::simd::{Portable, Simd};
-
-/// Operations of one number format, compiled for one instruction set.
-pub(crate) trait Executable: Send + Sync {
-    /// Works on this thread's share of every operation of `pass`.
-    ///
-    /// # Safety
-    /// The processor has the instructions; `frame` holds the arena the operations were placed
-    /// in, this thread's scratch, and slices as long as described; all threads of the barrier
-    /// call this with the same pass.
-    unsafe fn run(&self, pass: usize, frame: &Frame, thread: usize, barrier: &Barrier);
-
-    /// As [`Executable::run`], with a barrier around every operation and the time between them
-    /// taken down.
-    ///
-    /// # Safety
-    /// As for `run`.
-    unsafe fn run_watched(&self, pass: usize, frame: &Frame, thread: usize, watch: &Watch<'_>);
-
-    /// Makes `pass` ready to run again; no thread runs it.
-    fn reset(&self, pass: usize);
-
-    /// The operations of `pass`, in order.
-    fn operations(&self, pass: usize) -> Vec<usize>;
-
-    fn variant_count(&self) -> usize;
-
-    fn weight_bytes(&self) -> usize;
-}
+use crate::spec::{Buffer, BuildError, Feature, Options, Precision, Spec};
 
 enum Operation<E: Element> {
     Take(TakeOp),
@@ -192,8 +166,15 @@ impl Places {
     }
 }
 
+impl Builder {
+    /// Places everything, packs the weights and starts the threads.
+    pub fn finish(self, options: Options) -> Result<Program, BuildError> {
+        program(&self.checked(options)?, options)
+    }
+}
+
 /// Compiles a checked description.
-pub(crate) fn program(builder: &Builder, options: Options) -> Result<Program, BuildError> {
+fn program(builder: &Builder, options: Options) -> Result<Program, BuildError> {
     match (options.precision, options.isa) {
         (Precision::Single, Isa::Portable) => compile::<Portable, Single>(builder, options),
         (Precision::Brain, Isa::Portable) => compile::<Portable, Brain>(builder, options),
@@ -254,7 +235,7 @@ fn compile<S: Simd, E: Element>(
         crew,
         isa: options.isa,
         needs,
-        costs: profile::costs(builder, size_of::<E::T>()),
+        costs: costs(builder, size_of::<E::T>()),
     })
 }
 
