@@ -10,6 +10,7 @@ use candle_core::{Device, Tensor};
 use noctule::frame::ModelId;
 use noctule::infer::shipped_weights;
 use noctule_erunet::Weights;
+use sha2::{Digest, Sha256};
 
 fn weights(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_noctule"))
@@ -90,4 +91,18 @@ fn weights_are_mixed_into_a_file() {
     let said = String::from_utf8(output.stderr).unwrap();
     assert!(said.contains("xs and s: cannot mix"), "{said}");
     assert!(!other.exists());
+}
+
+#[test]
+fn each_card_names_the_weights_that_ship() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/weights");
+    for (name, model) in [("xs", ModelId::Xs), ("s", ModelId::S)] {
+        let digest = Sha256::digest(shipped_weights(model).unwrap());
+        let hex: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        let card = std::fs::read_to_string(folder.join(format!("{name}.md"))).unwrap();
+        assert!(
+            card.contains(&format!("SHA-256 `{hex}`")),
+            "{name}.md does not name {hex}: its figures are those of other weights"
+        );
+    }
 }
