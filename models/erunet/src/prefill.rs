@@ -382,4 +382,39 @@ mod tests {
         let odd = [Some(ground), None, None];
         assert!(prefill(&sparse, &odd, Form::Choice, 80.0, &Device::Cpu).is_err());
     }
+
+    #[test]
+    fn each_map_is_laid_on_its_own_road() {
+        let (height, width) = (64, 48);
+        let told = Ground::level(1.5, 200.0, 20.0).unwrap();
+        let road = |rows: f32| {
+            let truth = told.lowered(rows);
+            let mut sparse = vec![0.0; height * width];
+            for cell in (26 * width..54 * width).step_by(3) {
+                sparse[cell] = 1.0 / truth.inverse_depth(0.0, (cell / width) as f32);
+            }
+            sparse
+        };
+        // A post says nothing of the road.
+        let mut post = vec![0.0; height * width];
+        (0..height).for_each(|row| post[row * width + 5] = 9.0);
+        let seen = |prefill: &mut Prefill, sparse: &[f32]| {
+            prefill.stand_on(Some(&told));
+            let mut nearest = vec![0.0; height * width];
+            let mut seen = vec![0.0; Form::Choice.depth_channels() * height * width];
+            prefill.fill(sparse, &mut nearest, &mut seen).unwrap();
+            seen
+        };
+        let fresh = || Prefill::new(Form::Choice, height, width, 80.0).unwrap();
+        let mut used = fresh();
+        for sparse in [road(3.0), road(-2.0), post, road(3.0), road(0.0)] {
+            assert!(
+                seen(&mut used, &sparse) == seen(&mut fresh(), &sparse),
+                "a map is seen as the one before it left the road"
+            );
+        }
+        let ground = GROUND * height * width..;
+        let (lower, own) = (seen(&mut used, &road(3.0)), seen(&mut used, &road(0.0)));
+        assert_ne!(lower[ground.clone()], own[ground], "the maps differ");
+    }
 }
